@@ -106,15 +106,6 @@ def _own_value(socket: Socket) -> np.ndarray:
     return np.array(value, dtype=np.float64)[None, :3]
 
 
-def constant(socket: Socket, groups: Groups = ()) -> np.ndarray:
-    """(k,) uniform value of a socket.
-
-    Raises Unsupported, naming the node, where the value depends on position or cannot be evaluated.
-    """
-    value, _ = NodeEvaluator(Nowhere())._value(socket, groups)
-    return value[0]
-
-
 class Nowhere:
     """Points without positions or attributes: nodes that read either cannot be evaluated."""
 

@@ -256,6 +256,15 @@ def _light_path(values: "NodeEvaluator", node: Node, output: Socket, groups: Gro
     return np.full((1, 1), float(seen))
 
 
+def _light_falloff(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
+    # What is brighter or darker at other distances is no light that falls off with their square.
+    if not getattr(values.points, "is_lamp", False):
+        raise unsupported(node, "what has no place")
+    if output.identifier != "Quadratic" or values.number(node, "Smooth", groups).any():
+        raise unsupported(node, "any other falloff than Quadratic with a Smooth of 0")
+    return values.number(node, "Strength", groups)
+
+
 def _mapping(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     vector, scale = values.colour(node, "Vector", groups), values.colour(node, "Scale", groups)
     turn = euler_matrices(values.colour(node, "Rotation", groups))
@@ -325,6 +334,7 @@ FUNCTIONS = {
     "ShaderNodeTexCoord": _texture_coordinate,
     "ShaderNodeNewGeometry": _geometry,
     "ShaderNodeLightPath": _light_path,
+    "ShaderNodeLightFalloff": _light_falloff,
     "ShaderNodeMapping": _mapping,
     **TEXTURES,
 }

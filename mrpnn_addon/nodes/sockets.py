@@ -96,11 +96,6 @@ def _group_output(group: Node) -> Node:
     raise Unsupported(f'group "{group.name}" has no output')
 
 
-def linked_node(socket: Socket) -> Node | None:
-    """The node linked to an input socket, or None."""
-    return source_of(socket).node
-
-
 def input_of(node: Node, identifier: str) -> Socket:
     """A node's input socket by its identifier, which is unique where its name is not."""
     return next(socket for socket in node.inputs if socket.identifier == identifier)

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun, soft_sun
-from ..nodes.evaluation import constant
-from ..nodes.sockets import Unsupported, active_output, linked_node
+from ..nodes.evaluation import NodeEvaluator, Nowhere
+from ..nodes.light_shader import EMISSION, emitted
+from ..nodes.sockets import Unsupported, active_output, source_of
 from .ignored_settings import LIGHT, ignored_settings
 from .placement import placement_problem
 from .visibility import VisibleObject
@@ -108,11 +109,12 @@ def _node_factor(lamp: Any, name: str) -> np.ndarray:
     if output is None:
         return np.ones(3)
     try:
-        node = linked_node(output.inputs["Surface"])
-        if node is None:
-            return np.zeros(3)
-        if node.bl_idname != "ShaderNodeEmission":
-            raise Unsupported(f'node "{node.name}" is not supported; use one Emission node')
-        return constant(node.inputs["Strength"]) * constant(node.inputs["Color"])
+        return emitted(NodeEvaluator(_OnLamp()), source_of(output.inputs["Surface"]), (EMISSION,))[0]
     except Unsupported as problem:
         raise SceneError(f"{name}: {problem}") from None
+
+
+class _OnLamp(Nowhere):
+    """Where a lamp's nodes are evaluated: as far away from it as anything."""
+
+    is_lamp = True

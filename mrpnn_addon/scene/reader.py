@@ -38,7 +38,7 @@ from ..objects.workload import Box, Workload, estimate_workload
 from ..runtime.text import utf8_names
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
-from ..world.lighting import read_world
+from ..world.lighting import read_world, surface_light_warnings
 from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
 
@@ -245,6 +245,8 @@ def _describe(
         description.groups.add([*discs, *description.environments], scene.world.lightgroup)
     description.suns += discs
     description.warnings += warnings
+    if description.opaque:
+        description.warnings += surface_light_warnings(depsgraph)
     return description
 
 

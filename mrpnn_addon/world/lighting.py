@@ -9,10 +9,11 @@ import numpy as np
 
 from ...inference.scene import Environment, Sun, soft_sun
 from ..nodes.evaluation import NodeEvaluator, Nowhere
-from ..nodes.sockets import Unsupported, active_output, input_of, source_of
+from ..nodes.light_shader import BACKGROUND, EMISSION, emitted
+from ..nodes.sockets import Unsupported, active_output, source_of
 from ..objects.ignored_settings import WORLD, ignored_settings
 from ..objects.visibility import evaluated_world
-from .picture import WorldSource, is_known, world_picture, world_source
+from .picture import WorldSource, is_known, view_coordinates, world_picture, world_source
 from .process import PictureFailed
 from .sphere import Sphere
 
@@ -58,8 +59,27 @@ def read_world(
             radiance, discs = _picture(world, scene, sphere, name, check)
         except PictureFailed as failure:
             return [], [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
+        if coordinates := view_coordinates(world):
+            warnings.append(
+                f"{name} reads Texture Coordinate > {' and '.join(coordinates)}, which depends on the view; its light "
+                "in volumes is that of another view"
+            )
     found = [Environment(sphere.image(radiance), name=name)] if radiance.max() > 0.0 else []
     return discs, found, warnings
+
+
+def surface_light_warnings(depsgraph: "bpy.types.Depsgraph") -> list[str]:
+    """Warnings of a scene with surfaces, where these see the World and volumes do not, or the other way round."""
+    world = evaluated_world(depsgraph)
+    # Properties of Cycles, absent while Cycles is disabled.
+    visibility = getattr(world, "cycles_visibility", None)
+    if visibility is None or visibility.diffuse == visibility.scatter:
+        return []
+    if visibility.diffuse:
+        ignored = "volume scatter rays; nor do surfaces throw its light into volumes"
+    else:
+        ignored = "diffuse rays, which is not respected: surfaces throw its light into volumes"
+    return [f'World "{world.name}" is hidden from {ignored}']
 
 
 def _picture(
@@ -108,29 +128,5 @@ def _radiance(world: "bpy.types.World", output: Any, points: Any) -> np.ndarray:
         # Without nodes, Blender before 5.0 renders the World's colour.
         plain = bpy.app.version < (5, 0, 0) and not world.use_nodes
         return np.broadcast_to(np.array(world.color) if plain else np.zeros(3), points.directions.shape)
-    light = _surface(NodeEvaluator(points), source_of(output.inputs["Surface"]))
+    light = emitted(NodeEvaluator(points), source_of(output.inputs["Surface"]), (BACKGROUND, EMISSION))
     return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
-
-
-def _surface(values: NodeEvaluator, source: Any) -> np.ndarray:
-    node, groups = source.node, source.groups
-    if node is None:
-        return np.zeros((1, 3))
-    if node.bl_idname in ("ShaderNodeBackground", "ShaderNodeEmission"):
-        return values.number(node, "Strength", groups) * values.colour(node, "Color", groups)
-    if node.bl_idname == "ShaderNodeAddShader":
-        first, second = (_surface(values, source_of(socket, groups)) for socket in node.inputs)
-        return first + second
-    if node.bl_idname == "ShaderNodeMixShader":
-        factor = np.clip(values.number(node, "Fac", groups), 0.0, 1.0)
-        # A shader of weight 0 need not be supported.
-        shares = (("Shader", 1.0 - factor), ("Shader_001", factor))
-        return sum(
-            (
-                share * _surface(values, source_of(input_of(node, name), groups))
-                for name, share in shares
-                if share.any()
-            ),
-            np.zeros((1, 3)),
-        )
-    raise Unsupported(f'node "{node.name}" ({node.bl_label}) cannot be evaluated')

@@ -52,11 +52,7 @@ class WorldSource:
         """world: evaluated. scene: gives the frame."""
         self.key, self._unsaved = key, _unsaved_image(world)
         self._views: dict[str, np.ndarray] = {}
-        links = [link for tree in trees(world) for link in tree.links]
-        self.depends_on_view = any(
-            link.from_node.bl_idname == "ShaderNodeTexCoord" and link.from_socket.name in VIEW_COORDINATES
-            for link in links
-        )
+        self.depends_on_view = bool(view_coordinates(world))
         self._process = WorldProcess(world, scene)
 
     def read(
@@ -148,6 +144,13 @@ def world_picture(
     if isinstance(found, PictureFailed):
         raise found
     return found
+
+
+def view_coordinates(world: "bpy.types.World") -> list[str]:
+    """Which of VIEW_COORDINATES a World's nodes read."""
+    links = [link for tree in trees(world) for link in tree.links]
+    read = {link.from_socket.name for link in links if link.from_node.bl_idname == "ShaderNodeTexCoord"}
+    return sorted(read & VIEW_COORDINATES)
 
 
 def forget() -> None:

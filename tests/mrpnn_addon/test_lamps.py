@@ -142,3 +142,72 @@ def test_the_default_scene_needs_nothing_deleted(addon, tmp_path):
         described.volumes, described.lights, described.camera, Settings(depth_samples=4), surfaces=described.surfaces
     )
     assert layer.report.counts["lamps"] == 1 and layer.single.max() > 0.02 and layer.multiple.max() > 0.02
+
+
+def lamp_nodes(lamp):
+    """The lamp's tree and its Emission."""
+    lamp.use_nodes = True
+    return lamp.node_tree, lamp.node_tree.nodes["Emission"]
+
+
+def grouped(lamp):
+    """An Emission inside a group, driven by the group's inputs."""
+    tree, emission = lamp_nodes(lamp)
+    group = bpy.data.node_groups.new("Bulb", "ShaderNodeTree")
+    group.interface.new_socket("Strength", in_out="INPUT", socket_type="NodeSocketFloat")
+    group.interface.new_socket("Light", in_out="OUTPUT", socket_type="NodeSocketShader")
+    inner, entry, leave = (
+        group.nodes.new(kind) for kind in ("ShaderNodeEmission", "NodeGroupInput", "NodeGroupOutput")
+    )
+    group.links.new(entry.outputs[0], inner.inputs["Strength"])
+    group.links.new(inner.outputs[0], leave.inputs[0])
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = group
+    node.inputs["Strength"].default_value = 2.5
+    tree.links.new(node.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+
+
+def mixed(lamp):
+    """Half a blackbody and half of what has a quadratic falloff."""
+    tree, emission = lamp_nodes(lamp)
+    other, mix, body, falloff = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("Emission", "MixShader", "Blackbody", "LightFalloff")
+    )
+    body.inputs[0].default_value, falloff.inputs["Strength"].default_value = 2500.0, 3.0
+    tree.links.new(body.outputs[0], emission.inputs["Color"])
+    tree.links.new(falloff.outputs["Quadratic"], other.inputs["Strength"])
+    for node, socket in ((emission, 1), (other, 2)):
+        tree.links.new(node.outputs[0], mix.inputs[socket])
+    tree.links.new(mix.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+
+
+@pytest.mark.parametrize("nodes", [grouped, mixed])
+def test_nodes_of_lamps_scale_their_light_as_in_cycles(addon, scene, tmp_path, nodes):
+    blender_scenes.cloud_scene(scene, tmp_path, density=1.0)
+    bpy.data.objects.remove(scene.objects["Sun"])
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    lamp = bpy.data.lights.new("Lamp", "POINT")
+    blender_scenes.add_object(scene, "Lamp", lamp).location = (2.0, 1.0, 2.0)
+    seen, power = [], []
+    for change in (lambda lamp: None, nodes):
+        change(lamp)
+        power.append(addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph()).lamps[0].power)
+        seen.append(blender_scenes.render_cycles(scene, tmp_path, samples=8)[..., :3].mean(axis=(0, 1)))
+    np.testing.assert_allclose(power[1] / power[0], seen[1] / seen[0], rtol=0.01)
+
+
+def test_nodes_of_lamps_that_are_not_rendered_are_named(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    tree, emission = lamp_nodes(scene.objects["Sun"].data)
+    lamp = bpy.data.lights.new("Lamp", "POINT")
+    blender_scenes.add_object(scene, "Lamp", lamp)
+    for kind, output, name in (
+        ("TexIES", "Fac", "IES Texture"),
+        ("LightFalloff", "Linear", "Light Falloff"),
+        ("TexNoise", 0, "Noise Texture"),
+    ):
+        node = tree.nodes.new(f"ShaderNode{kind}")
+        tree.links.new(node.outputs[output], emission.inputs["Strength"])
+        described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+        assert not described.suns and len(described.lamps) == 1
+        assert any('sun "Sun"' in text and name in text for text in described.warnings), described.warnings

@@ -207,3 +207,17 @@ def restore(owner, path):
     parent = owner.path_resolve(parent) if parent else owner
     prop = parent.bl_rna.properties[name]
     setattr(parent, name, None if prop.type == "POINTER" else prop.default)
+
+
+def test_worlds_that_surfaces_and_volumes_see_differently_are_named(addon, scene, lit):
+    plane = bpy.data.meshes.new("Ground")
+    plane.from_pydata([(-4, -4, -2), (4, -4, -2), (4, 4, -2)], [], [(0, 1, 2)])
+    rays = scene.world.cycles_visibility
+    rays.diffuse = False
+    assert not any("diffuse rays" in text for text in lit())
+    blender_scenes.add_object(scene, "Ground", plane)
+    assert any('World "World" is hidden from diffuse rays' in text for text in lit())
+    rays.diffuse, rays.scatter = True, False
+    assert any('World "World" is hidden from volume scatter rays' in text for text in lit())
+    rays.scatter = True
+    assert not any("hidden from" in text for text in lit())

@@ -160,3 +160,13 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
             sockets.source_of(tree.get_output_node("CYCLES").inputs["Surface"]),
         )
         np.testing.assert_allclose(found[0], seen, rtol=0.03)
+
+
+def test_a_world_that_depends_on_the_view_is_named(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    tree, node = scene.world.node_tree, background(scene)
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    for output, named in (("Reflection", False), ("Camera", True), ("Window", True)):
+        tree.links.new(coordinates.outputs[output], node.inputs["Color"])
+        said = [text for text in read(addon).warnings if "depends on the view" in text]
+        assert bool(said) == named and (not named or f'World "World" reads Texture Coordinate > {output}' in said[0])
