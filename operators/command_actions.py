@@ -14,6 +14,7 @@ from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
+from ..mrpnn_addon.objects.views import view_path, view_paths
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.scene.reader import SceneDescription
@@ -36,7 +37,7 @@ def render(options, console, found: dict) -> None:
 
         def work(frame: int) -> dict:
             path = paths[frame]
-            if options.skip_existing and os.path.exists(path):
+            if options.skip_existing and all(map(os.path.exists, view_paths(path, scene.render))):
                 console.event("skipped", f"frame {frame}: {path} is there already", frame=frame, file=path)
                 return {"frame": frame, "file": path, "skipped": True}
             return _render_frame(frame, path, settings, console, frame_reader(options, frames))
@@ -57,18 +58,27 @@ def _render_frame(
     exr_path = path if exr else None
     finished = render_scene(description, settings, exr_path, console.progress(frame), started=started)
     if not exr:
-        image = show_in_image(finished.layer)
-        try:
-            save_view_transformed(image, path, scene)
-        finally:
-            bpy.data.images.remove(image)
+        for view, layer in finished.layers:
+            finished.files.append(view_path(path, view.suffix))
+            image = show_in_image(layer)
+            try:
+                save_view_transformed(image, finished.files[-1], scene)
+            finally:
+                bpy.data.images.remove(image)
     for warning in finished.warnings:
         console.event("warning", warning, frame=frame, message=warning)
-    facts = {"frame": frame, "file": path, "seconds": finished.seconds, "warnings": finished.warnings}
+    facts = {
+        "frame": frame,
+        "file": finished.files[0],
+        "files": finished.files,
+        "seconds": finished.seconds,
+        "warnings": finished.warnings,
+    }
     expected = finished.layer.report.expected_error
     error = f", expected error {expected}" if expected else ""
     # Render farms parse Blender's message.
-    console.event("frame", f"wrote {path} in {finished.seconds:.1f} s{error}\nSaved: '{path}'", **facts)
+    saved = "\n".join(f"Saved: '{file}'" for file in finished.files)
+    console.event("frame", f"wrote {' and '.join(finished.files)} in {finished.seconds:.1f} s{error}\n{saved}", **facts)
     return {**facts, "report": finished.layer.report.to_dict()}
 
 

@@ -10,7 +10,7 @@ from bpy.props import StringProperty
 
 from ..inference.scene import SceneError
 from ..mrpnn_addon.engine.render_job import RenderJob, render_scene
-from ..mrpnn_addon.output.layer_image import show_in_image
+from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_in_image
 from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.reader import read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH
@@ -147,7 +147,9 @@ class MRPNN_OT_render(bpy.types.Operator):
         return {"CANCELLED"}
 
     def _deliver(self, context, finished):
-        image = show_in_image(finished.layer)
+        # From the last to the first view, which is displayed.
+        for view, layer in reversed(finished.layers):
+            image = show_in_image(layer, IMAGE_NAME + view.suffix)
         if not bpy.app.background:
             # After this operator has ended: opening a window runs its handlers again.
             bpy.app.timers.register(functools.partial(_display, image.name))

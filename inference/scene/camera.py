@@ -10,6 +10,19 @@ from .errors import SceneError
 from .validation import affine_matrix
 
 
+@dataclass(frozen=True)
+class SphericalEye:
+    """An eye that looks around: its rays start beside the camera, to the right of their direction.
+
+    offset: by how much, world units; negative for the left eye. convergence: distance from the camera at which both
+    eyes' rays of a pixel meet. merge: angles above and below the horizon between which the offset fades to 0, radians.
+    """
+
+    offset: float
+    convergence: float = np.inf
+    merge: tuple[float, float] | None = None
+
+
 @dataclass
 class Camera:
     """A camera with the axes of Blender: it looks along -Z, +Y is up.
@@ -23,6 +36,7 @@ class Camera:
         up (equirectangular).
     clip: (near, far) distances along the viewing axis; along each ray for equirectangular cameras.
     exposure: what radiance is multiplied by in the layer, which Cycles calls *Film > Exposure*.
+    eye: of spherical stereo (equirectangular).
     region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
         whole image. The layer has the size of the region.
 
@@ -40,6 +54,7 @@ class Camera:
     clip: tuple[float, float] = (0.0, np.inf)
     region: tuple[int, int, int, int] | None = None
     exposure: float = 1.0
+    eye: SphericalEye | None = None
 
     def __post_init__(self) -> None:
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")

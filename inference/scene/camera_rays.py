@@ -4,7 +4,7 @@
 import numpy as np
 
 from ..numerics.small_matmul import inverse, product
-from .camera import Camera
+from .camera import Camera, SphericalEye
 
 
 def camera_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -51,8 +51,11 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
         local = np.stack(
             [np.cos(latitude) * np.sin(longitude), np.sin(latitude), -np.cos(latitude) * np.cos(longitude)], axis=1
         )
+        beside = np.zeros_like(local)
+        if camera.eye is not None:
+            local, beside = _spherical(camera.eye, local, latitude)
         directions = product(local, rotation.T)
-        origins = np.broadcast_to(eye, directions.shape).copy()
+        origins = eye + product(beside, rotation.T)
         cosine = np.ones_like(u)
     else:
         extent = 2.0 * np.tan(0.5 * camera.fov)
@@ -62,6 +65,22 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
         origins = np.broadcast_to(eye, directions.shape).copy()
         cosine = 1.0 / length
     return origins, directions, cosine
+
+
+def _spherical(eye: SphericalEye, local: np.ndarray, latitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions of rays and where they start, (N, 3) each, of an eye that looks along `local` at `latitude`."""
+    offset = np.full_like(latitude, eye.offset)
+    if eye.merge is not None:
+        low, high = eye.merge
+        share = np.clip((np.abs(latitude) - low) / max(high - low, 1e-12), 0.0, 1.0)
+        offset *= np.cos(0.5 * np.pi * share)
+    right = np.stack([-local[:, 2], np.zeros_like(latitude), local[:, 0]], axis=1)
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
+    beside = offset[:, None] * right
+    if np.isfinite(eye.convergence):
+        local = eye.convergence * local - beside
+        local = local / np.linalg.norm(local, axis=1, keepdims=True)
+    return local, beside
 
 
 def pixel_size(camera: Camera, distance: np.ndarray) -> np.ndarray:

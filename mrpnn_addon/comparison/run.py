@@ -66,7 +66,7 @@ class ComparisonRun:
         with scaled(context.scene, options.scale):
             depsgraph = context.evaluated_depsgraph_get()
             # Of the region's size and without surfaces, as Cycles' image.
-            self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[])
+            self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[], views=[])
             require_volumes(self.description)
             process = CyclesProcess(
                 context.scene,

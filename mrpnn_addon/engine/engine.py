@@ -13,7 +13,7 @@ import gpu
 from ...inference.image.layer import empty_layer
 from ...inference.scene import Camera, Cancelled, SceneError
 from ..nodes.material import shows_volume
-from ..objects.camera import film_exposure, read_camera
+from ..objects.camera import film_exposure, read_views
 from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..runtime.background import Worker
@@ -152,22 +152,27 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         scene.crop = True
         transparent = depsgraph.scene.render.film_transparent
         settings = scene_settings(depsgraph.scene).settings()
-        background = None if transparent else self._background(depsgraph, scene.camera)
-        result = RenderResult(self, view_layer, scene.camera, background)
+        backgrounds = [None if transparent else self._background(depsgraph, view.camera) for view in scene.views]
+        results = {
+            view.name: RenderResult(self, view_layer, view.camera, background, view.name)
+            for view, background in zip(scene.views, backgrounds)
+        }
         # Background renders need no intermediate pictures.
-        parts = None if bpy.app.background else result
+        parts = None if bpy.app.background else results
         progress = _Progress(self, started)
         try:
             finished = render_scene(scene, settings, None, progress, progress.cancelled, parts, started)
         except BaseException:
             self.stop_reading_ahead()
-            result.end()
+            for result in results.values():
+                result.end()
             raise
         # Blender's window shows the last report only.
         missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
         for warning in [*finished.warnings, missing] if missing else finished.warnings:
             report(self, "WARNING", warning)
-        result.finish(finished.layer, stamp(settings, finished.layer.report, time.perf_counter() - started))
+        for view, layer in finished.layers:
+            results[view.name].finish(layer, stamp(settings, layer.report, time.perf_counter() - started))
         finished.seconds = time.perf_counter() - cls._asked
         remember_finished(finished)
 
@@ -232,9 +237,11 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             raise Cancelled()
 
     def _write_empty(self, depsgraph: "bpy.types.Depsgraph") -> None:
-        camera = read_camera(depsgraph)[0]
-        background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
-        RenderResult(self, depsgraph.view_layer, camera, background).finish(empty_layer(camera), {})
+        for view in read_views(depsgraph)[0]:
+            camera = view.camera
+            background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
+            result = RenderResult(self, depsgraph.view_layer, camera, background, view.name)
+            result.finish(empty_layer(camera), {})
 
 
 class _Progress:

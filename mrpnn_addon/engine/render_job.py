@@ -3,8 +3,8 @@
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from ... import inference
 from ...inference.image.layer import Layer, empty_layer
 from ...inference.runtime.report import Report
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
+from ..objects.views import View, view_path
 from ..objects.workload import Workload
-from ..output.layer_exr import write_layer
+from ..output.layer_exr import write_layers
 from ..output.layer_frame import in_frame
 from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
@@ -29,13 +30,15 @@ COARSE_PIXELS = 8000
 @dataclass
 class Finished:
     """layer: in the frame of Blender's image. seconds: since the render was asked for. warnings: of all of it.
-    workload: None without volumes.
+    workload: None without volumes. layers: of each view; `layer` is the first. files: that were written.
     """
 
     layer: Layer
     seconds: float
     warnings: list[str]
     workload: Workload | None = None
+    layers: list[tuple[View, Layer]] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
 
 
 def render_scene(
@@ -44,14 +47,14 @@ def render_scene(
     exr_path: str | None = None,
     progress: Tell | None = None,
     cancelled: Callable[[], bool] | None = None,
-    parts: RenderResult | None = None,
+    parts: Mapping[str, RenderResult] | None = None,
     started: float | None = None,
 ) -> Finished:
-    """Render a scene. Calls no bpy, so any thread may call this.
+    """Render all views of a scene. Calls no bpy, so any thread may call this.
 
-    exr_path: absolute path of a multi-layer EXR to write, or None. parts: its `show_coarse(layer)` and
-    `show_part(window, layer)`, see RenderResult, are called with a coarse picture and with finished parts. started:
-    `time.perf_counter()` when the render was asked for, before the scene was read; now by default.
+    exr_path: absolute path of a multi-layer EXR to write, or None; files of several views get their suffixes. parts:
+    for each view by name, what shows its coarse picture and its finished parts. started: `time.perf_counter()` when the
+    render was asked for, before the scene was read; now by default.
 
     Raises SceneError for what cannot be rendered, Cancelled when `cancelled()` returns True, and OSError where the file
     cannot be written.
@@ -62,22 +65,50 @@ def render_scene(
         if cancelled and cancelled():
             raise Cancelled()
 
+    views = scene.views or [View("", "", scene.camera)]
+    # The views share what does not depend on them.
+    cache, layers = inference.RenderCache(any_view=len(views) > 1), []
     try:
-        # A frame without smoke yet is valid.
-        layer = _render(scene, settings, progress, cancelled, parts) if scene.volumes else empty_layer(scene.camera)
-        layer = in_frame(layer, scene.camera, scene.crop)
-        if exr_path:
-            if progress:
-                progress(1.0, "writing the file")
-            write_layer(exr_path, layer, scene.view_layer, metadata(scene, settings, layer.report), check)
+        for number, view in enumerate(views):
+            seen, part = scene.seen_by(view), parts[view.name] if parts else None
+            reported = _share(progress, number, len(views)) if progress else None
+            # A frame without smoke yet is valid.
+            layer = (
+                _render(seen, settings, reported, cancelled, part, cache) if seen.volumes else empty_layer(seen.camera)
+            )
+            layers.append((view, in_frame(layer, seen.camera, seen.crop)))
+        if exr_path and progress:
+            progress(1.0, "writing the file")
+        files = _write(exr_path, layers, scene, settings, check) if exr_path else []
     except MemoryError:
         raise SceneError(
             "not enough memory for this render; use fewer depth samples, a smaller image or smaller "
             "grids, or close other programs"
         ) from None
-    warnings = [*scene.warnings, *layer.report.warnings, *runtime_warnings]
+    reports = [layer.report for _, layer in layers]
+    warnings = [*scene.warnings, *(text for report in reports for text in report.warnings), *runtime_warnings]
     workload = scene.workload(settings.depth_samples) if scene.volumes else None
-    return Finished(layer, time.perf_counter() - started, warnings, workload)
+    seconds = time.perf_counter() - started
+    return Finished(layers[0][1], seconds, list(dict.fromkeys(warnings)), workload, layers, files)
+
+
+def _share(progress: Tell, number: int, count: int) -> Tell:
+    """The progress of one of several views."""
+    return lambda fraction, message: progress((number + fraction) / count, message)
+
+
+def _write(
+    path: str, layers: list[tuple[View, Layer]], scene: SceneDescription, settings: Settings, check: Callable[[], None]
+) -> list[str]:
+    """Write the layers of all views, to one file or to one each; returns the paths."""
+    if scene.in_one_file:
+        files = {path: layers}
+    else:
+        files = {view_path(path, view.suffix): [(View("", "", view.camera), layer)] for view, layer in layers}
+    for file, held in files.items():
+        of_views = {view.name: layer for view, layer in held}
+        write_layers(file, of_views, scene.view_layer, metadata(scene, settings, held[0][1].report), check)
+    return list(files)
 
 
 def _render(
@@ -86,9 +117,9 @@ def _render(
     progress: Tell | None,
     cancelled: Callable[[], bool] | None,
     parts: RenderResult | None,
+    cache: inference.RenderCache,
 ) -> Layer:
     # The final picture reuses what the coarse one computes; lookup lattices cover only the view.
-    cache = inference.RenderCache(any_view=False)
     groups = list(scene.groups.parts(scene)) if scene.groups.names else []
     steps, first = Steps(progress, max(len(groups), 1), parts is not None), None
     if parts is not None:

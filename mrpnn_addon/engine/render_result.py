@@ -23,7 +23,7 @@ class RenderResult:
     """Writes one view layer's layer to Blender's render result.
 
     engine: the RenderEngine. camera: its window is rendered. background: a `film.Background`; None for a transparent
-    film. A render that fails before the first picture shows none.
+    film. view: the name of one of several views. A render that fails before the first picture shows none.
     """
 
     def __init__(
@@ -32,8 +32,10 @@ class RenderResult:
         view_layer: "bpy.types.ViewLayer",
         camera: Camera,
         background: Background | None,
+        view: str = "",
     ) -> None:
         self._engine, self._view_layer, self._camera, self._background = engine, view_layer, camera, background
+        self._view = view
         x0, y0, x1, y1 = camera.window
         self._image = np.zeros((y1 - y0, x1 - x0, 4), np.float32)
         self._result: bpy.types.RenderResult | None = None
@@ -78,7 +80,7 @@ class RenderResult:
             height, width = self._image.shape[:2]
             for extra in self._extras:
                 self._engine.add_pass(extra.name, len(extra.channels), extra.channels, layer=self._view_layer.name)
-            self._result = self._engine.begin_result(0, 0, width, height, layer=self._view_layer.name)
+            self._result = self._engine.begin_result(0, 0, width, height, layer=self._view_layer.name, view=self._view)
         return self._result
 
     def _put(self, window: tuple[int, int, int, int], image: np.ndarray) -> None:

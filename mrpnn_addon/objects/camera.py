@@ -10,6 +10,7 @@ import numpy as np
 from ...inference.scene import Camera, SceneError
 from .ignored_settings import CAMERA, ignored_settings
 from .placement import placement_problem
+from .views import View, eye_of, stereo_warnings, view_camera, wanted_views
 
 PROJECTIONS: dict[str, Literal["perspective", "orthographic", "equirectangular"]] = {
     "PERSP": "perspective",
@@ -18,8 +19,24 @@ PROJECTIONS: dict[str, Literal["perspective", "orthographic", "equirectangular"]
 }
 
 
-def read_camera(depsgraph: "bpy.types.Depsgraph") -> tuple[Camera, list[str]]:
+def read_views(depsgraph: "bpy.types.Depsgraph") -> tuple[list[View], list[str]]:
+    """The views that a scene renders, and warnings. One without a name where *Stereoscopy* is off. Raises as
+    `read_camera`.
+    """
+    found, warnings = [], []
+    for view in wanted_views(depsgraph.scene.render) or [None]:
+        camera, noted = read_camera(depsgraph, view)
+        found.append(View(view.name, view.file_suffix, camera) if view else View("", "", camera))
+        warnings += [warning for warning in noted if warning not in warnings]
+    return found, warnings
+
+
+def read_camera(
+    depsgraph: "bpy.types.Depsgraph", view: "bpy.types.SceneRenderView | None" = None
+) -> tuple[Camera, list[str]]:
     """The scene's active camera at the render resolution, and warnings.
+
+    view: whose eye or camera it is; None for the active camera itself.
 
     The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
 
@@ -29,8 +46,9 @@ def read_camera(depsgraph: "bpy.types.Depsgraph") -> tuple[Camera, list[str]]:
     scene = depsgraph.scene
     if scene.camera is None:
         raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
-    camera = scene.camera.evaluated_get(depsgraph)
+    camera = view_camera(scene, view).evaluated_get(depsgraph)
     lens: Any = camera.data
+    eye = eye_of(lens, scene, view)
     where = f'camera "{camera.name}"'
     panorama = _panorama(lens) if lens.type == "PANO" else None
     if lens.type not in PROJECTIONS or panorama not in (None, "EQUIRECTANGULAR"):
@@ -54,9 +72,10 @@ def read_camera(depsgraph: "bpy.types.Depsgraph") -> tuple[Camera, list[str]]:
     if width < 1 or height < 1:
         raise SceneError(f"the render resolution is {width} x {height} pixels; raise it in the output properties")
 
+    warnings = ignored_settings(lens, CAMERA, f"{where}:") + stereo_warnings(lens, scene, where)
     if panorama:
         return Camera(
-            _orthonormal(matrix),
+            _orthonormal(matrix) @ eye.placement,
             projection="equirectangular",
             resolution=(width, height),
             longitude=_ends(lens, "longitude"),
@@ -64,23 +83,27 @@ def read_camera(depsgraph: "bpy.types.Depsgraph") -> tuple[Camera, list[str]]:
             clip=(lens.clip_start, lens.clip_end),
             region=_region(render, width, height),
             exposure=film_exposure(scene),
-        ), ignored_settings(lens, CAMERA, f"{where}:")
+            eye=eye.spherical,
+        ), warnings
     window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
     perspective = lens.type == "PERSP"
     # Window coordinates are (P00 x + P02 z) / -z or P00 x + P03, from -1 to 1 across the image.
     half_width = 1.0 / window[0, 0]
     centre = window[:2, 2] if perspective else -window[:2, 3]
+    # A lens' shift is in units of the side that its sensor fits.
+    fits_width = lens.sensor_fit == "HORIZONTAL" or lens.sensor_fit == "AUTO" and width >= height
+    shift = eye.shift * (1.0 if fits_width else height / width)
     return Camera(
-        _orthonormal(matrix),
+        _orthonormal(matrix) @ eye.placement,
         projection=PROJECTIONS[lens.type],
         resolution=(width, height),
         fov=2.0 * math.atan(half_width),
         ortho_scale=2.0 * half_width,
-        shift=(centre[0] / 2.0, centre[1] / 2.0 * height / width),
+        shift=(centre[0] / 2.0 + shift, centre[1] / 2.0 * height / width),
         clip=(lens.clip_start, lens.clip_end),
         region=_region(render, width, height),
         exposure=film_exposure(scene),
-    ), ignored_settings(lens, CAMERA, f"{where}:")
+    ), warnings
 
 
 def film_exposure(scene: "bpy.types.Scene") -> float:

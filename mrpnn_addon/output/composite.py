@@ -132,6 +132,7 @@ def synchronize(scene, structure: bool = True) -> None:
         _set(volumes, name, getattr(scene, name))
     if not structure:
         return
+    _copy_views(scene.render.views, volumes.render.views)
     _copy_format(scene.render.image_settings, volumes.render.image_settings)
     _copy_markers(scene, volumes)
     for name in ("objects", "children"):
@@ -185,6 +186,22 @@ def _copy_format(source, target) -> None:
         if hasattr(source, name):
             _set(target, name, getattr(source, name))
     _copy_values(source, target, {"rna_type", *_FORMAT})
+
+
+def _copy_views(
+    source: "bpy.types.bpy_prop_collection[bpy.types.SceneRenderView]",
+    target: "bpy.types.bpy_prop_collection[bpy.types.SceneRenderView]",
+) -> None:
+    """Make the views of stereoscopy and multi-view those of another scene, in the same order."""
+    if [view.name for view in source] != [view.name for view in target]:
+        # One view always stays, and has the first name in the end.
+        for view in list(target)[1:]:
+            target.remove(view)
+        target[0].name = source[0].name
+        for view in list(source)[1:]:
+            target.new(view.name)
+    for view, other in zip(source, target):
+        _copy_values(view, other, {"rna_type", "name"})
 
 
 def _beside(path: str) -> str:

@@ -25,12 +25,12 @@ MAX_NAME_BYTES = 255
 
 
 def write_exr(
-    path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | int | float], check=lambda: None
+    path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | list[str] | int | float], check=lambda: None
 ) -> None:
     """Write `channels`, float32 (H, W) each with rows from the top, under their names.
 
-    attributes: written to the header as string, int and float attributes. check: called often; an exception that it
-    raises stops the writing and leaves no file.
+    attributes: written to the header as string, string vector, int and float attributes. check: called often; an
+    exception that it raises stops the writing and leaves no file.
 
     The file appears at `path` only when it is complete. Raises OSError where it cannot be written.
     """
@@ -108,6 +108,9 @@ def _channel(name: str) -> bytes:
 def _attribute(name: str, value):
     if isinstance(value, str):
         return name, "string", safe_text(value).encode()
+    if isinstance(value, list):
+        texts = [safe_text(text).encode() for text in value]
+        return name, "stringvector", b"".join(struct.pack("<i", len(text)) + text for text in texts)
     if isinstance(value, int):
         return name, "int", struct.pack("<i", value)
     return name, "float", struct.pack("<f", value)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A layer as a multi-layer OpenEXR file."""
+"""A layer, or those of several views, as a multi-layer OpenEXR file."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
 
 from ...inference.image.layer import Layer
 from .exr_file import write_exr
@@ -7,15 +11,43 @@ from .layer_frame import finite_depth
 
 
 def write_layer(
-    path: str, layer: Layer, view_layer: str, metadata: dict[str, str | int | float], check=lambda: None
+    path: str,
+    layer: Layer,
+    view_layer: str,
+    metadata: Mapping[str, str | int | float],
+    check: Callable[[], None] = lambda: None,
+) -> None:
+    """As `write_layers`, for a picture of one view."""
+    write_layers(path, {"": layer}, view_layer, metadata, check)
+
+
+def write_layers(
+    path: str,
+    layers: Mapping[str, Layer],
+    view_layer: str,
+    metadata: Mapping[str, str | int | float],
+    check: Callable[[], None] = lambda: None,
 ) -> None:
     """Write Combined, Alpha, Depth, Single, Multiple, Emission, Uncertainty and light groups as layers of one file.
 
-    Channels have Blender's names (ViewLayer.Combined.R ...), so that its compositor shows each layer as an output of an
+    layers: of each view, by its name; that of a file with one view is "". Channels have Blender's names
+    (ViewLayer.Combined.R, ViewLayer.Combined.left.R ...), so that its compositor shows each layer as an output of an
     Image node. Colours are scene-linear and premultiplied. check: as of `write_exr`.
 
     Raises OSError where the file cannot be written; no partial file is left.
     """
+    channels, attributes = {}, dict(metadata)
+    for view, layer in layers.items():
+        for name, values in _channels(layer).items():
+            channel, letter = name.rsplit(".", 1)
+            channels[".".join(filter(None, (view_layer, channel, view, letter)))] = values
+    if any(layers):
+        attributes["multiView"] = list(layers)
+    write_exr(path, channels, attributes, check)
+
+
+def _channels(layer: Layer) -> dict[str, np.ndarray]:
+    """float32 (H, W) of each channel, by its name within the view layer."""
     channels = {
         "Combined.A": layer.alpha,
         "Alpha.A": layer.alpha,
@@ -31,4 +63,4 @@ def write_layer(
     ):
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]
-    write_exr(path, {f"{view_layer}.{name}": values for name, values in channels.items()}, metadata, check)
+    return channels

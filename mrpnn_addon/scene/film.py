@@ -52,8 +52,14 @@ def read_background(
     found = world_behind(depsgraph)
     if not isinstance(found, WorldSource):
         return Background(camera, found * np.float32(camera.exposure))
+    warnings = []
+    if camera.eye is not None and np.isfinite(camera.eye.convergence):
+        warnings.append(
+            f'World "{depsgraph.scene.world.name}": both eyes of spherical stereo show the same background; set '
+            "Convergence Mode to Parallel, or turn on Film > Transparent"
+        )
     try:
-        return Background(camera, found.view(camera, SAMPLES, pixel_filter(depsgraph.scene), check))
+        return Background(camera, found.view(camera, SAMPLES, pixel_filter(depsgraph.scene), check), warnings)
     except PictureFailed as failure:
         return Background(
             camera,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The evaluated scene as plain descriptions for `inference.render`."""
 
+import copy
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -21,11 +22,12 @@ from ...inference.scene import (
 )
 from ..nodes.material import SURFACES, shows_volume
 from ..objects.animation import changes, volumes_change, with_instanced
-from ..objects.camera import read_camera
+from ..objects.camera import read_camera, read_views
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
+from ..objects.views import View, in_one_file
 from ..objects.visibility import (
     VisibleObject,
     hidden_from_camera,
@@ -65,6 +67,8 @@ class SceneDescription:
     refused: user errors of objects or the World, which are left out, naming each.
     boxes: around the volumes, each with the number of colour channels that differ; for `workload`.
     groups: which light group lights, volumes and meshes are in.
+    views: what a picture shows; several where the scene is stereoscopic. `camera` is the active one. in_one_file:
+        whether an OpenEXR file holds all of them.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -84,6 +88,15 @@ class SceneDescription:
     refused: list[str] = field(default_factory=list)
     boxes: list[tuple[Box, int]] = field(default_factory=list)
     groups: LightGroups = field(default_factory=LightGroups)
+    views: list[View] = field(default_factory=list)
+    in_one_file: bool = False
+
+    def seen_by(self, view: View) -> "SceneDescription":
+        """The same scene with a view's camera. Makes the surfaces, which the views share."""
+        self.surfaces  # noqa: B018
+        found = copy.copy(self)
+        found.camera = view.camera
+        return found
 
     def plan(self, settings: Settings) -> Plan | None:
         """The plan of a render; None without volumes. Raises as `make_plan`."""
@@ -130,8 +143,9 @@ def read_frame(
     for hidden, problem in missing:
         if not goes_on and not changes(hidden):
             raise problem
-    camera, warnings = read_camera(depsgraph)
+    (camera, _), (views, warnings) = read_camera(depsgraph), read_views(depsgraph)
     description = _describe(depsgraph, reader, check)
+    description.views, description.in_one_file = views, in_one_file(depsgraph.scene.render)
     description.camera, description.warnings = camera, warnings + description.warnings
     for hidden, problem in missing:
         description.left_out.add(hidden.name)

@@ -13,6 +13,7 @@ from ..nodes.material import shows_volume
 from ..objects.camera import read_camera
 from ..objects.lights import read_lamp, read_suns
 from ..objects.placement import has_zero_scale, placement_problem
+from ..objects.views import wanted_views
 from ..objects.visibility import hidden_from_camera, visible_objects
 from ..objects.workload import estimate_workload
 from ..volumes.bounding_boxes import box_around
@@ -82,6 +83,7 @@ def forecast(depsgraph) -> Forecast:
     workload = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
     points = workload.window * settings.depth_samples * suns
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
+    seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)
     return Forecast(
         len(boxes),
         suns,
