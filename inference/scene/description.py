@@ -43,7 +43,7 @@ class Volume:
     density: np.ndarray | SparseGrid
     world_from_index: np.ndarray
     name: str = "volume"
-    emission: None | np.ndarray | tuple[SparseGrid, SparseGrid, SparseGrid] = None
+    emission: None | np.ndarray | tuple[SparseGrid, ...] = None
     emission_power: int = 1
     scattering: None | tuple[Voxels, ...] = None
 

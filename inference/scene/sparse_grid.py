@@ -41,7 +41,12 @@ class SparseGrid:
 
     @classmethod
     def of_blocks(
-        cls, shape: Sequence[int], first: ArrayLike, count: Sequence[int], numbers: np.ndarray, values: np.ndarray
+        cls,
+        shape: Sequence[int] | np.ndarray,
+        first: ArrayLike,
+        count: Sequence[int],
+        numbers: np.ndarray,
+        values: np.ndarray,
     ) -> "SparseGrid":
         """From some blocks of a box of `count` (3,) blocks that has no border of empty blocks yet.
 

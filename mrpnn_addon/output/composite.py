@@ -7,6 +7,7 @@ unaffected. The second scene shows the same collections and copies the first one
 """
 
 import threading
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, PointerProperty, StringProperty
@@ -50,30 +51,31 @@ class MRPNN_PG_composite(bpy.types.PropertyGroup):
 
 
 @utf8_names()
-def composite(scene, shadows: bool) -> None:
+def composite(scene: "bpy.types.Scene", shadows: bool) -> None:
     """Composite a scene's volumes over its render by Cycles, or repair a composite.
 
     Raises ValueError where another scene has the name of the volumes' scene.
     """
-    state = scene.mrpnn_composite
+    state = composite_state(scene)
     if volume_scene(scene) is None:
         name = f"{scene.name} MRPNN"
         if name in bpy.data.scenes:
             raise ValueError(f'there is a scene "{name}" already; delete or rename it')
         volumes = _volume_scene(scene, name)
-        state.volumes, volumes.mrpnn_composite.surfaces = volumes, scene
+        state.volumes, composite_state(volumes).surfaces = volumes, scene
     if not state.active:
         state.engine, state.compositing = scene.render.engine, scene.render.use_compositing
     state.shadows = shadows
-    scene.render.engine, scene.render.use_compositing = "CYCLES", True
+    render: Any = scene.render
+    render.engine, render.use_compositing = "CYCLES", True
     state.made_tree = build_nodes(scene, state.volumes) or (state.active and state.made_tree)
     state.active = True
     synchronize(scene)
 
 
-def remove_composite(scene) -> None:
+def remove_composite(scene: "bpy.types.Scene") -> None:
     """Undo `composite`: restore the scene and remove the scene of its volumes."""
-    state, volumes = scene.mrpnn_composite, volume_scene(scene)
+    state, volumes = composite_state(scene), volume_scene(scene)
     remove_nodes(scene, state.made_tree)
     if state.engine:
         scene.render.engine = state.engine
@@ -88,17 +90,17 @@ def remove_composite(scene) -> None:
             shown.update_tag()
 
 
-def volume_scene(scene) -> "bpy.types.Scene | None":
+def volume_scene(scene: "bpy.types.Scene") -> "bpy.types.Scene | None":
     """The scene that renders this one's volumes; None without one, as for a copy of a composited scene."""
-    volumes = scene.mrpnn_composite.volumes
-    return volumes if volumes is not None and volumes.mrpnn_composite.surfaces == scene else None
+    volumes = composite_state(scene).volumes
+    return volumes if volumes is not None and composite_state(volumes).surfaces == scene else None
 
 
-def out_of_date(scene) -> list[str]:
+def out_of_date(scene: "bpy.types.Scene") -> list[str]:
     """Reasons why a composited scene does not show its volumes; `composite` repairs them."""
     volumes, found = volume_scene(scene), []
     if volumes is None:
-        other = scene.mrpnn_composite.volumes
+        other = composite_state(scene).volumes
         found.append(
             "The scene of the volumes was deleted"
             if other is None
@@ -111,13 +113,13 @@ def out_of_date(scene) -> list[str]:
     return found + compositor_problems(scene, volumes)
 
 
-def synchronize(scene, structure: bool = True) -> None:
+def synchronize(scene: "bpy.types.Scene", structure: bool = True) -> None:
     """Update the scene of a composited scene's volumes; writes only what differs.
 
     structure: whether to update objects, collections and view layers too, which needs Blender's main thread.
     """
     volumes = volume_scene(scene)
-    if not scene.mrpnn_composite.active or volumes is None:
+    if not composite_state(scene).active or volumes is None:
         return
     _set(volumes.render, "engine", ENGINE)
     _set(volumes.render, "film_transparent", True)
@@ -127,7 +129,7 @@ def synchronize(scene, structure: bool = True) -> None:
     _set(volumes.render, "filepath", _beside(scene.render.filepath))
     if hasattr(scene, "cycles"):
         _set(volumes.cycles, "film_exposure", scene.cycles.film_exposure)
-    _copy_values(scene.mrpnn, volumes.mrpnn, _OWN_SETTINGS_PROPERTIES)
+    _copy_values(scene_settings(scene), scene_settings(volumes), _OWN_SETTINGS_PROPERTIES)
     for name in _SCENE_PROPERTIES:
         _set(volumes, name, getattr(scene, name))
     if not structure:
@@ -146,26 +148,27 @@ def synchronize(scene, structure: bool = True) -> None:
     _copy_layer(layer.layer_collection, [one.layer_collection for one in rendered])
 
 
-def _volume_scene(scene, name: str):
+def _volume_scene(scene: "bpy.types.Scene", name: str) -> "bpy.types.Scene":
     """A scene with the same collections and animation."""
     volumes = scene.copy()
     volumes.name = name
-    own = volumes.mrpnn_composite
+    own = composite_state(volumes)
     for prop in ("active", "volumes", "shadows", "engine", "compositing", "made_tree"):
         own.property_unset(prop)
     if bpy.app.version >= (5, 0, 0):
-        volumes.compositing_node_group = None
+        settings: Any = volumes
+        settings.compositing_node_group = None
     else:
         volumes.use_nodes = False
     return volumes
 
 
-def _set(owner, name: str, value) -> None:
+def _set(owner: Any, name: str, value: Any) -> None:
     if getattr(owner, name) != value:
         setattr(owner, name, value)
 
 
-def _copy_values(source, target, own) -> None:
+def _copy_values(source: Any, target: Any, own: Any) -> None:
     """Copy all plain properties of `source` to `target` but those named in `own`."""
     for prop in source.bl_rna.properties:
         if prop.identifier in own or prop.is_readonly or prop.type in ("POINTER", "COLLECTION"):
@@ -181,7 +184,7 @@ def _copy_values(source, target, own) -> None:
                 continue
 
 
-def _copy_format(source, target) -> None:
+def _copy_format(source: Any, target: Any) -> None:
     for name in _FORMAT:
         if hasattr(source, name):
             _set(target, name, getattr(source, name))
@@ -210,10 +213,10 @@ def _beside(path: str) -> str:
     return f"{path[:start]}volumes_{path[start:]}"
 
 
-def _copy_markers(scene, volumes) -> None:
+def _copy_markers(scene: "bpy.types.Scene", volumes: "bpy.types.Scene") -> None:
     """Copy markers, which bind cameras to frames."""
 
-    def described(markers):
+    def described(markers: Any) -> list:
         return [(marker.name, marker.frame, marker.camera) for marker in markers]
 
     if described(scene.timeline_markers) != described(volumes.timeline_markers):
@@ -222,7 +225,7 @@ def _copy_markers(scene, volumes) -> None:
             volumes.timeline_markers.new(name, frame=frame).camera = camera
 
 
-def _copy_links(source, target) -> None:
+def _copy_links(source: Any, target: Any) -> None:
     """Make a collection's objects or children those of another."""
     wanted, there = set(source), set(target)
     for other in there - wanted:
@@ -231,9 +234,9 @@ def _copy_links(source, target) -> None:
         target.link(missing)
 
 
-def _copy_layer(target, sources) -> None:
+def _copy_layer(target: Any, sources: Any) -> None:
     """Show what any of the rendered view layers shows."""
-    children = {}
+    children: dict[Any, list] = {}
     for source in sources:
         for child in source.children:
             children.setdefault(child.collection, []).append(child)
@@ -251,35 +254,35 @@ def _in_main_thread() -> bool:
 
 def _synchronize_all() -> None:
     for scene in bpy.data.scenes:
-        if scene.library is None and scene.mrpnn_composite.active:
+        if scene.library is None and composite_state(scene).active:
             synchronize(scene)
 
 
 @bpy.app.handlers.persistent
-def _after_change(*_):
+def _after_change(*_: Any) -> None:
     # During a render, Blender's render thread reads both scenes.
     if _in_main_thread() and not bpy.app.is_job_running("RENDER"):
         _synchronize_all()
 
 
 @bpy.app.handlers.persistent
-def _before_render(scene, *_):
+def _before_render(scene: "bpy.types.Scene", *_: Any) -> None:
     """Apply changes without a depsgraph update, such as those of scripts."""
-    if scene.mrpnn_composite.active:
+    if composite_state(scene).active:
         synchronize(scene, structure=_in_main_thread())
 
 
 @bpy.app.handlers.persistent
-def _hide_volumes(scene, depsgraph=None):
+def _hide_volumes(scene: "bpy.types.Scene", depsgraph: "bpy.types.Depsgraph" = None) -> None:
     """Hide volumes from the camera, or from all rays if wanted, in a render of a composited scene."""
-    if depsgraph is None or depsgraph.mode != "RENDER" or not scene.mrpnn_composite.active:
+    if depsgraph is None or depsgraph.mode != "RENDER" or not composite_state(scene).active:
         return
     if volume_scene(scene) is None or scene.render.engine == ENGINE:
         return
     hidden = {instance.object.original for instance in depsgraph.object_instances if shows_volume(instance.object)}
     for shown in hidden:
         evaluated = shown.evaluated_get(depsgraph)
-        for name in _RAYS[:1] if scene.mrpnn_composite.shadows else _RAYS:
+        for name in _RAYS[:1] if composite_state(scene).shadows else _RAYS:
             setattr(evaluated, name, False)
 
 
@@ -292,15 +295,17 @@ _HANDLERS = {
 }
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(MRPNN_PG_composite)
-    bpy.types.Scene.mrpnn_composite = PointerProperty(type=MRPNN_PG_composite)
+    scene: Any = bpy.types.Scene
+    scene.mrpnn_composite = PointerProperty(type=MRPNN_PG_composite)
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
 
 
-def unregister():
+def unregister() -> None:
     for name, handler in _HANDLERS.items():
         getattr(bpy.app.handlers, name).remove(handler)
-    del bpy.types.Scene.mrpnn_composite
+    scene: Any = bpy.types.Scene
+    del scene.mrpnn_composite
     bpy.utils.unregister_class(MRPNN_PG_composite)

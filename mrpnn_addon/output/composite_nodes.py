@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The compositor nodes that lay the volumes' scene over a scene."""
 
+from typing import Any
+
 import bpy
 
 FIVE = bpy.app.version >= (5, 0, 0)
@@ -23,7 +25,7 @@ TITLES = {
 }
 
 
-def build_nodes(scene, volumes) -> bool:
+def build_nodes(scene: "bpy.types.Scene", volumes: "bpy.types.Scene") -> bool:
     """Insert the volumes before the compositor's output, or repair the nodes.
 
     Returns whether the scene had no compositor before.
@@ -48,7 +50,7 @@ def build_nodes(scene, volumes) -> bool:
     return made
 
 
-def remove_nodes(scene, made: bool) -> None:
+def remove_nodes(scene: "bpy.types.Scene", made: bool) -> None:
     """Remove the nodes of `build_nodes`. made: its result."""
     tree = _tree(scene)
     if tree is None:
@@ -67,13 +69,14 @@ def remove_nodes(scene, made: bool) -> None:
     # Keep a compositor with other nodes.
     if made and {node.bl_idname for node in tree.nodes} <= BARE:
         if FIVE:
-            scene.compositing_node_group = None
+            settings: Any = scene
+            settings.compositing_node_group = None
             bpy.data.node_groups.remove(tree)
         else:
             scene.use_nodes = False
 
 
-def compositor_problems(scene, volumes) -> list[str]:
+def compositor_problems(scene: "bpy.types.Scene", volumes: "bpy.types.Scene") -> list[str]:
     """Reasons why the compositor's output does not show the volumes as it should."""
     tree = _tree(scene)
     if tree is None:
@@ -93,12 +96,13 @@ def compositor_problems(scene, volumes) -> list[str]:
     return found
 
 
-def _panorama(scene) -> bool:
+def _panorama(scene: "bpy.types.Scene") -> bool:
     """Whether the camera is a panorama, in which surfaces do not hide volumes."""
-    return scene.camera is not None and scene.camera.type == "CAMERA" and scene.camera.data.type == "PANO"
+    lens: Any = scene.camera and scene.camera.data
+    return isinstance(lens, bpy.types.Camera) and lens.type == "PANO"
 
 
-def _compare_depths(tree, surfaces, volumes, factor) -> None:
+def _compare_depths(tree: Any, surfaces: Any, volumes: Any, factor: Any) -> None:
     """Show volumes only where they are in front of surfaces."""
     surfaces.scene.view_layers[surfaces.layer].use_pass_z = True
     nearer = _node(tree, "nearer", MATH)
@@ -108,22 +112,22 @@ def _compare_depths(tree, surfaces, volumes, factor) -> None:
     tree.links.new(nearer.outputs[0], factor)
 
 
-def _surfaces(tree, scene):
+def _surfaces(tree: Any, scene: "bpy.types.Scene") -> Any:
     node = _node(tree, "surfaces", "CompositorNodeRLayers")
     if node.scene != scene:
         node.scene = scene
     return node
 
 
-def _sockets(node):
+def _sockets(node: Any) -> dict[str, Any]:
     return {socket.identifier: socket for socket in node.inputs}
 
 
-def _found(tree, role: str):
+def _found(tree: Any, role: str) -> Any:
     return next((node for node in tree.nodes if node.get(MARK) == role), None)
 
 
-def _node(tree, role: str, kind: str):
+def _node(tree: Any, role: str, kind: str) -> Any:
     """The tree's node of this role, created as needed."""
     node = _found(tree, role)
     if node is None:
@@ -132,13 +136,13 @@ def _node(tree, role: str, kind: str):
     return node
 
 
-def _remove(tree, role: str) -> None:
+def _remove(tree: Any, role: str) -> None:
     node = _found(tree, role)
     if node is not None:
         tree.nodes.remove(node)
 
 
-def _upstream(socket, sought) -> bool:
+def _upstream(socket: Any, sought: Any) -> bool:
     """Whether a node contributes to a socket."""
     ahead, seen = [socket], set()
     while ahead:
@@ -152,30 +156,32 @@ def _upstream(socket, sought) -> bool:
     return False
 
 
-def _tree(scene):
+def _tree(scene: "bpy.types.Scene") -> Any:
     """The compositor's nodes; None where it uses none."""
     if FIVE:
-        return scene.compositing_node_group
+        settings: Any = scene
+        return settings.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
 
 
-def _output(tree):
+def _output(tree: Any) -> Any:
     if not FIVE:
         return next((node for node in tree.nodes if node.bl_idname == "CompositorNodeComposite"), None)
     outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
     return next((node for node in outputs if node.is_active_output), None)
 
 
-def _compositor(scene):
+def _compositor(scene: "bpy.types.Scene") -> tuple[Any, Any]:
     """The scene's compositor tree, created as needed, and the input socket of its output."""
     if not FIVE:
         scene.use_nodes = True
-        tree = scene.node_tree
-        output = _output(tree) or tree.nodes.new("CompositorNodeComposite")
-        return tree, output.inputs["Image"]
-    tree = scene.compositing_node_group
+        nodes = scene.node_tree
+        output = _output(nodes) or nodes.nodes.new("CompositorNodeComposite")
+        return nodes, output.inputs["Image"]
+    settings: Any = scene
+    tree = settings.compositing_node_group
     if tree is None:
-        tree = scene.compositing_node_group = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+        tree = settings.compositing_node_group = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
         tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     output = _output(tree) or tree.nodes.new("NodeGroupOutput")
     return tree, output.inputs[0]

@@ -8,6 +8,7 @@ different version of OpenEXR, which crashes.
 
 import struct
 import zlib
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -25,7 +26,10 @@ MAX_NAME_BYTES = 255
 
 
 def write_exr(
-    path: str, channels: dict[str, np.ndarray], attributes: dict[str, str | list[str] | int | float], check=lambda: None
+    path: str,
+    channels: dict[str, np.ndarray],
+    attributes: dict[str, str | list[str] | int | float],
+    check: Callable[[], None] = lambda: None,
 ) -> None:
     """Write `channels`, float32 (H, W) each with rows from the top, under their names.
 
@@ -38,14 +42,14 @@ def write_exr(
     height, width = channels[names[0]].shape
     header = _header(names, width, height, attributes)
 
-    def block(y):
+    def compressed(y: int) -> bytes:
         check()
         # Scanlines store one channel after another, in the order of their names: (lines, C, W).
         rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype="<f4") for name in names]
         return _block(np.stack(rows, axis=1))
 
     with ThreadPoolExecutor() as pool:
-        blocks = list(pool.map(block, range(0, height, LINES_PER_BLOCK)))
+        blocks = list(pool.map(compressed, range(0, height, LINES_PER_BLOCK)))
 
     # The header is followed by a table of the blocks' offsets in the file.
     place = len(header) + 8 * len(blocks)
@@ -75,7 +79,7 @@ def _block(rows: np.ndarray) -> bytes:
     return packed if len(packed) < len(raw) else raw
 
 
-def _header(names, width: int, height: int, attributes) -> bytes:
+def _header(names: Sequence[str], width: int, height: int, attributes: Mapping[str, int | float | str]) -> bytes:
     names, attributes = [safe_text(name) for name in names], {safe_text(name): of for name, of in attributes.items()}
     longest = max(len(name.encode()) for name in [*names, *attributes])
     if longest > MAX_NAME_BYTES:
@@ -105,7 +109,7 @@ def _channel(name: str) -> bytes:
     return name.encode() + b"\0" + struct.pack("<iBxxxii", FLOAT_PIXELS, 0, 1, 1)
 
 
-def _attribute(name: str, value):
+def _attribute(name: str, value: int | float | str | list[str]) -> tuple[str, str, bytes]:
     if isinstance(value, str):
         return name, "string", safe_text(value).encode()
     if isinstance(value, list):

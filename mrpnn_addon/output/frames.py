@@ -19,7 +19,7 @@ def parse_frames(text: str) -> list[int]:
 
     Raises SceneError for anything else.
     """
-    frames = []
+    frames: list[int] = []
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())
         if match is None:

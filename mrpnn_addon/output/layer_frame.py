@@ -2,6 +2,7 @@
 """A layer in the frame of Blender's images."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
     width, height = camera.resolution
     x0, y0, x1, y1 = camera.region
 
-    def placed(array, background):
+    def placed(array: np.ndarray, background: Any) -> np.ndarray:
         full = np.full((height, width) + array.shape[2:], background, dtype=np.float32)
         full[y0:y1, x0:x1] = array
         return full

@@ -3,6 +3,7 @@
 
 import os
 import tempfile
+from typing import Any
 
 import bpy
 import numpy as np
@@ -24,7 +25,7 @@ def show_image(values: np.ndarray, name: str) -> bpy.types.Image:
     The image is scene-linear RGBA with premultiplied alpha; Blender's rows start at the bottom.
     """
     height, width = values.shape[:2]
-    image = bpy.data.images.get(name)
+    image: Any = bpy.data.images.get(name)
     if image is not None and not (image.source == "GENERATED" and image.is_float):
         # A packed or reloaded image cannot be written to: replace it.
         image = _replaced(image, width, height)
@@ -38,7 +39,7 @@ def show_image(values: np.ndarray, name: str) -> bpy.types.Image:
     return image
 
 
-def _replaced(old, width, height):
+def _replaced(old: "bpy.types.Image | None", width: int, height: int) -> "bpy.types.Image":
     name = old.name
     image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True)
     old.user_remap(image)
@@ -47,7 +48,7 @@ def _replaced(old, width, height):
     return image
 
 
-def save_view_transformed(image: bpy.types.Image, path: str, scene) -> None:
+def save_view_transformed(image: bpy.types.Image, path: str, scene: "bpy.types.Scene") -> None:
     """Save the image as PNG with the scene's view transform, alpha included.
 
     The file appears at `path` only when it is complete. Raises OSError where it cannot be written.

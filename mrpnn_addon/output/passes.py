@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render passes of a view layer, by Cycles' names."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -9,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...inference.image.layer import Layer
+from ..settings.view_layer import pass_settings
 from .layer_frame import finite_depth
 
 # Cycles abbreviates pass names before 5.0.
@@ -31,9 +33,9 @@ class RenderPass:
     pixels: Callable[[Layer], np.ndarray]
 
 
-def extra_passes(view_layer) -> list[RenderPass]:
+def extra_passes(view_layer: "bpy.types.ViewLayer") -> list[RenderPass]:
     """Passes that a view layer requests besides Combined."""
-    switches = view_layer.mrpnn
+    switches = pass_settings(view_layer)
     passes = [
         (view_layer.use_pass_z, RenderPass("Depth", "Z", "VALUE", finite_depth)),
         (switches.use_pass_volume_direct, RenderPass(DIRECT, "RGB", "COLOR", lambda layer: layer.single)),
@@ -42,7 +44,7 @@ def extra_passes(view_layer) -> list[RenderPass]:
         (switches.use_pass_uncertainty, RenderPass("Uncertainty", "X", "VALUE", lambda layer: layer.uncertainty)),
     ]
     groups = [
-        RenderPass(f"Combined_{group.name}", "RGB", "COLOR", lambda layer, name=group.name: _of_group(layer, name))
+        RenderPass(f"Combined_{group.name}", "RGB", "COLOR", functools.partial(_of_group, name=group.name))
         for group in view_layer.lightgroups
     ]
     return [wanted for on, wanted in passes if on] + groups

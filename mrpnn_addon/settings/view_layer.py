@@ -25,6 +25,11 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     )
 
 
+def pass_settings(view_layer: "bpy.types.ViewLayer") -> MRPNN_PG_view_layer:
+    """`view_layer.mrpnn`, which the types of bpy do not have."""
+    return view_layer.path_resolve("mrpnn")
+
+
 def register() -> None:
     bpy.utils.register_class(MRPNN_PG_view_layer)
     view_layer: Any = bpy.types.ViewLayer

@@ -4,9 +4,11 @@
 import json
 import math
 import os
+from typing import Any
 
 import bpy
 
+from ...inference.image.layer import Layer
 from ...inference.scene import SceneError
 from ..objects.workload import Workload
 from ..runtime.json_file import write_json
@@ -28,7 +30,7 @@ def calibration() -> Calibration:
     return _known
 
 
-def calibrate_by(workload: Workload | None, layer) -> None:
+def calibrate_by(workload: Workload | None, layer: Layer) -> None:
     """Calibrate by a render. workload: its work, or None without volumes."""
     if workload is None:
         return
@@ -49,17 +51,17 @@ def forget() -> None:
 
 
 @bpy.app.handlers.persistent
-def _after_load(*_):
+def _after_load(*_: Any) -> None:
     # Another file's volumes may have the same names.
     calibration().shares.clear()
     forget_densities()
 
 
-def register():
+def register() -> None:
     bpy.app.handlers.load_post.append(_after_load)
 
 
-def unregister():
+def unregister() -> None:
     bpy.app.handlers.load_post.remove(_after_load)
 
 

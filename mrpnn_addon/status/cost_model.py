@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...inference.runtime.report import Report
 from ..objects.workload import Workload
 
 # Seconds on two cores of a 2020 desktop. Per step evaluated, and per step, light and volume; the second value applies
@@ -70,7 +71,7 @@ def estimate_seconds(workload: Workload, threads: int, known: Calibration) -> fl
     return total * (known.threads / max(threads, 1)) ** SCALING
 
 
-def calibrate(known: Calibration, workload: Workload, report, alpha: np.ndarray) -> None:
+def calibrate(known: Calibration, workload: Workload, report: Report, alpha: np.ndarray) -> None:
     """Update a calibration. workload: the render's work. report: its report. alpha: (H, W), its opacity."""
     count = report.counts.get
     lights, evaluated = max(count("suns", 0) + count("environments", 0), 1), count("steps evaluated", 0)
@@ -117,7 +118,7 @@ def is_rough(workload: Workload, known: Calibration) -> bool:
     return workload.filled is None and workload.names not in known.shares
 
 
-def _points(workload: Workload, shares: Shares):
+def _points(workload: Workload, shares: Shares) -> tuple[float, float]:
     """Pixels with density, and points at which the network is evaluated for each light."""
     pixels = workload.pixels * shares.visible * workload.channels
     opacity = workload.opacity if shares.opacity is None else shares.opacity

@@ -7,14 +7,14 @@ from . import last_comparison, last_render, scene_check
 
 
 @bpy.app.handlers.persistent
-def _loaded(_file):
+def _loaded(_file: str) -> None:
     for result in (last_render, last_comparison, scene_check):
         result.forget()
 
 
-def register():
+def register() -> None:
     bpy.app.handlers.load_post.append(_loaded)
 
 
-def unregister():
+def unregister() -> None:
     bpy.app.handlers.load_post.remove(_loaded)

@@ -4,6 +4,7 @@
 import os
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
 
 from ...inference.plan.lights import predicted_suns
@@ -14,8 +15,9 @@ from ..objects.camera import read_camera
 from ..objects.lights import read_lamp, read_suns
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.views import wanted_views
-from ..objects.visibility import hidden_from_camera, visible_objects
+from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
 from ..objects.workload import estimate_workload
+from ..settings.properties import scene_settings
 from ..volumes.bounding_boxes import box_around
 from ..world.lighting import lights_volumes
 from .calibration import calibration
@@ -42,10 +44,10 @@ class Forecast:
     rough: bool = False
 
 
-def _read_light(shown) -> tuple[list[Sun], int, list[str]]:
+def _read_light(shown: VisibleObject) -> tuple[list[Sun], int, list[str]]:
     """Bright suns and the number of bright lamps that a light is, and warnings."""
     try:
-        if shown.object.data.type == "SUN":
+        if shown.data.type == "SUN":
             suns, noted = read_suns(shown)
             return [sun for sun in suns if np.any(sun.irradiance > 0.0)], 0, noted
         lamp, noted = read_lamp(shown)
@@ -54,9 +56,9 @@ def _read_light(shown) -> tuple[list[Sun], int, list[str]]:
         return [], 0, [f"{problem} (left out)"]
 
 
-def forecast(depsgraph) -> Forecast:
+def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     """Estimate the render without reading volumes."""
-    settings = depsgraph.scene.mrpnn.settings()
+    settings = scene_settings(depsgraph.scene).settings()
     try:
         camera, warnings = read_camera(depsgraph)
         boxes, channels, lamps, lights, placed = [], 1, 0, [], 0
@@ -79,14 +81,14 @@ def forecast(depsgraph) -> Forecast:
         world = lights_volumes(depsgraph.scene.world)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
-    suns = len(predicted_suns(merge_parallel(lights))) + placed + world
-    workload = estimate_workload(boxes, camera, suns, settings.depth_samples, channels)
-    points = workload.window * settings.depth_samples * suns
+    count = len(predicted_suns(merge_parallel(lights))) + placed + world
+    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels)
+    points = workload.window * settings.depth_samples * count
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
     seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)
     return Forecast(
         len(boxes),
-        suns,
+        count,
         workload.window,
         points,
         seconds,

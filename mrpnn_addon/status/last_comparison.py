@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The last comparison of the open file, for the panel."""
 
-_last = None
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..comparison.results import Comparison
+
+_last: tuple["Comparison", Path] | None = None
 
 
-def remember(comparison, page) -> None:
+def remember(comparison: "Comparison", page: Path) -> None:
     """Store a Comparison and the path of its report."""
     global _last
     _last = comparison, page
@@ -16,6 +22,6 @@ def forget() -> None:
     _last = None
 
 
-def last_comparison():
+def last_comparison() -> tuple["Comparison", Path] | None:
     """(Comparison, path of its report), or None before the first."""
     return _last

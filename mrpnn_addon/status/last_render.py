@@ -2,8 +2,12 @@
 """The last render of the open file, for the panel."""
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from .calibration import calibrate_by
+
+if TYPE_CHECKING:
+    from ..engine.render_job import Finished
 
 
 @dataclass
@@ -22,7 +26,7 @@ class LastRender:
     expected_error: str = ""
 
 
-_last = None
+_last: LastRender | None = None
 
 
 def remember(last: LastRender) -> None:
@@ -31,7 +35,7 @@ def remember(last: LastRender) -> None:
     _last = last
 
 
-def remember_finished(finished) -> None:
+def remember_finished(finished: "Finished") -> None:
     """Store the result of an `engine.render_job.Finished`."""
     report = finished.layer.report
     remember(
@@ -53,6 +57,6 @@ def forget() -> None:
     _last = None
 
 
-def last_render():
+def last_render() -> LastRender | None:
     """The LastRender, or None before the first."""
     return _last

@@ -2,6 +2,9 @@
 """Which of three ways of showing volumes suits a scene: the layer alone, a composite over Cycles, or baked light."""
 
 from dataclasses import dataclass
+from typing import Any
+
+import bpy
 
 from ..nodes.material import SURFACES, materials, shows_volume
 from ..nodes.sockets import has_nodes
@@ -29,17 +32,18 @@ class Recommendation:
     reason: str
 
 
-def recommend(depsgraph) -> Recommendation:
+def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
     """What suits what renders show, without reading volumes."""
     scene = depsgraph.scene
     needs, surfaces = [], False
-    if scene.camera is not None and scene.camera.type == "CAMERA" and scene.camera.data.dof.use_dof:
+    lens: Any = scene.camera and scene.camera.data
+    if isinstance(lens, bpy.types.Camera) and lens.dof.use_dof:
         needs.append("depth of field")
     if scene.render.use_motion_blur:
         needs.append("motion blur")
     for shown in visible_objects(depsgraph):
         kind = shown.object.type
-        if kind == "LIGHT" and shown.object.data.type != "SUN":
+        if kind == "LIGHT" and shown.data.type != "SUN":
             needs.append("a lamp")
         elif kind in SURFACES and not shows_volume(shown.object):
             surfaces = True
@@ -54,11 +58,12 @@ def recommend(depsgraph) -> Recommendation:
     return Recommendation(LAYER, "The layer suits this scene: it has volumes only")
 
 
-def _shows_surroundings(material) -> list[str]:
+def _shows_surroundings(material: "bpy.types.Material") -> list[str]:
     """Which mirrors and glasses a material has."""
     if material is None or not has_nodes(material):
         return []
-    found, trees = [], [material.node_tree]
+    found: list[str] = []
+    trees: list[Any] = [material.node_tree]
     for tree in trees:
         for node in tree.nodes:
             if node.type == "GROUP" and node.node_tree is not None and node.node_tree not in trees:
@@ -73,7 +78,7 @@ def _shows_surroundings(material) -> list[str]:
     return found
 
 
-def _value(node, name: str) -> float:
+def _value(node: Any, name: str) -> float:
     """A socket's own value; 0 without such a socket."""
     socket = node.inputs.get(name)
     return float(socket.default_value) if socket is not None else 0.0

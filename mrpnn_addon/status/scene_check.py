@@ -3,11 +3,15 @@
 
 from dataclasses import dataclass, field
 
+import bpy
+
 from ...inference.scene import SceneError
 from ..baking.baked_scene import stale_light
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.changes import scene_state
 from ..scene.reader import read_frame
+from ..settings.properties import scene_settings
+from ..volumes.reader import VolumeReader
 
 
 @dataclass
@@ -25,7 +29,7 @@ class SceneCheck:
     memory: int = 0
     voxels: dict[str, tuple] = field(default_factory=dict)
 
-    def outdated(self, scene) -> bool:
+    def outdated(self, scene: "bpy.types.Scene") -> bool:
         """Whether the scene has changed since, or is another one."""
         return self.state != scene_state(scene)
 
@@ -33,11 +37,11 @@ class SceneCheck:
 _last = None
 
 
-def check_scene(depsgraph, reader=None) -> SceneCheck:
+def check_scene(depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = None) -> SceneCheck:
     """Read the scene and plan its render; stored as `last_check`. reader: as of `read_frame`."""
     global _last
     # The evaluated scene's name and camera are those of the original.
-    state, settings = scene_state(depsgraph.scene), depsgraph.scene.mrpnn.settings()
+    state, settings = scene_state(depsgraph.scene), scene_settings(depsgraph.scene).settings()
     try:
         warnings = check_runtime()
         scene = read_frame(depsgraph, reader)
@@ -62,6 +66,6 @@ def forget() -> None:
     _last = None
 
 
-def last_check():
+def last_check() -> "SceneCheck | None":
     """The SceneCheck, or None before the first."""
     return _last

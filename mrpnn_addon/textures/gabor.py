@@ -4,6 +4,7 @@
 """
 
 import itertools
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,9 @@ SQUARED = {2: 0.25, 3: 1.0 / (4.0 * np.sqrt(2.0))}
 LOWEST_FREQUENCY = 0.001
 
 
-def gabor(points, frequency, anisotropy, orientation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def gabor(
+    points: np.ndarray, frequency: np.ndarray, anisotropy: np.ndarray, orientation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Value, phase and intensity (n, 1), at points (n, d).
 
     frequency, anisotropy: (n, 1) or (1, 1). orientation: an angle, (n, 1) or (1, 1), in two dimensions; a vector, (n,
@@ -49,7 +52,7 @@ def gabor(points, frequency, anisotropy, orientation) -> tuple[np.ndarray, np.nd
     return imaginary / span * 0.5 + 0.5, phase, np.hypot(real, imaginary) / span
 
 
-def _direction(seed, isotropy, orientation) -> np.ndarray:
+def _direction(seed: tuple[Any, ...], isotropy: np.ndarray, orientation: np.ndarray) -> np.ndarray:
     """Unit vectors (n, d) along which kernels of a seed oscillate."""
     if len(seed) == 3:
         angle = orientation + (uniform(*seed)[:, None] - 0.5) * np.pi * isotropy

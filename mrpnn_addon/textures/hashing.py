@@ -5,12 +5,14 @@ Bob Jenkins' lookup3 of the bits of numbers, and the PCG hashes of vectors of in
 Functions for GPU Rendering, JCGT 2020) in signed arithmetic.
 """
 
+from typing import Any
+
 import numpy as np
 
 FACTOR, STEP = np.int32(1664525), np.int32(1013904223)
 
 
-def lookup3(*keys) -> np.ndarray:
+def lookup3(*keys: np.ndarray) -> np.ndarray:
     """uint32 (n,): lookup3 of one to four uint32 arrays (n,)."""
     start = np.uint32((0xDEADBEEF + (len(keys) << 2) + 13) & 0xFFFFFFFF)
     state = dict.fromkeys("abc", np.full(np.broadcast_shapes(*(key.shape for key in keys)), start))
@@ -33,17 +35,17 @@ def lookup3(*keys) -> np.ndarray:
     return state["c"]
 
 
-def _rotated(value, bits: int):
+def _rotated(value: np.ndarray, bits: int) -> np.ndarray:
     return (value << np.uint32(bits)) | (value >> np.uint32(32 - bits))
 
 
-def uniform(*numbers) -> np.ndarray:
+def uniform(*numbers: Any) -> np.ndarray:
     """float64 (n,) in [0, 1] from the bits of one to four numbers, arrays (n,) or scalars."""
     keys = [np.atleast_1d(np.asarray(number, np.float32)).view(np.uint32) for number in numbers]
     return lookup3(*keys) / np.float64(0xFFFFFFFF)
 
 
-def uniform_colour(*numbers) -> np.ndarray:
+def uniform_colour(*numbers: Any) -> np.ndarray:
     """float64 (n, 3) in [0, 1] from one to four numbers, as `uniform`."""
     if len(numbers) == 4:
         x, y, z, w = numbers
@@ -53,7 +55,7 @@ def uniform_colour(*numbers) -> np.ndarray:
     return np.stack([uniform(*key) for key in keys], axis=1)
 
 
-def uniform_pair(*numbers) -> np.ndarray:
+def uniform_pair(*numbers: Any) -> np.ndarray:
     """float64 (n, 2) in [0, 1] from three or four numbers, as `uniform`."""
     x, y, z, *w = numbers
     return np.stack([uniform(*numbers), uniform(z, x, *w, y)], axis=1)

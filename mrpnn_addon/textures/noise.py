@@ -6,7 +6,9 @@ in OSL and Cycles, and the fractals of Musgrave (Ebert and others, Texturing and
 """
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -41,37 +43,44 @@ class Fractal:
         self.roughness = np.maximum(self.roughness, 0.0)
         return KINDS[self.kind](self, np.asarray(points, np.float64))
 
-    def _octaves(self, points):
+    def _octaves(self, points: np.ndarray) -> Iterator[tuple[np.ndarray, Any]]:
         """Yield the noise (n, 1) of each octave, and the share of it that counts."""
         for number in range(int(np.ceil(np.max(self.detail))) + 1):
             yield gradient_noise(points), np.clip(self.detail - number + 1.0, 0.0, 1.0) if number else 1.0
             points = points * self.lacunarity
 
-    def _fbm(self, points):
-        total, span, amplitude, result = 0.0, 0.0, 1.0, 0.0
+    def _fbm(self, points: np.ndarray) -> np.ndarray:
+        total: Any = 0.0
+        span: Any = 0.0
+        amplitude: Any = 1.0
+        result: Any = 0.0
         for noise, share in self._octaves(points):
             total, span = total + amplitude * noise, span + amplitude
             result = result + share * ((0.5 * total / span + 0.5 if self.normalize else total) - result)
             amplitude = amplitude * self.roughness
         return result
 
-    def _multifractal(self, points):
-        result, power = 1.0, 1.0
+    def _multifractal(self, points: np.ndarray) -> np.ndarray:
+        result: Any = 1.0
+        power: Any = 1.0
         for noise, share in self._octaves(points):
             result = result * (share * power * noise + 1.0)
             power = power * self.roughness
         return result
 
-    def _hetero_terrain(self, points):
-        result, power = 0.0, 1.0
+    def _hetero_terrain(self, points: np.ndarray) -> np.ndarray:
+        result: Any = 0.0
+        power: Any = 1.0
         for number, (noise, share) in enumerate(self._octaves(points)):
             layer = noise + self.offset
             result = result + share * layer * power * result if number else layer
             power = power * self.roughness
         return result
 
-    def _hybrid_multifractal(self, points):
-        result, power, weight = 0.0, 1.0, 1.0
+    def _hybrid_multifractal(self, points: np.ndarray) -> np.ndarray:
+        result: Any = 0.0
+        power: Any = 1.0
+        weight: Any = 1.0
         for noise, share in self._octaves(points):
             weight = np.where(weight > SPENT, np.minimum(weight, 1.0), 0.0)
             signal = (noise + self.offset) * power
@@ -80,8 +89,10 @@ class Fractal:
             power = power * self.roughness
         return result
 
-    def _ridged_multifractal(self, points):
-        result, power, signal = 0.0, 1.0, 0.0
+    def _ridged_multifractal(self, points: np.ndarray) -> np.ndarray:
+        result: Any = 0.0
+        power: Any = 1.0
+        signal: Any = 0.0
         for number, (noise, share) in enumerate(self._octaves(points)):
             weight = np.clip(signal * self.gain, 0.0, 1.0) if number else 1.0
             signal = weight * (self.offset - np.abs(noise)) ** 2
@@ -100,7 +111,9 @@ KINDS = {
 }
 
 
-def noise_texture(points, fractal: Fractal, distortion=0.0, coloured=False) -> np.ndarray:
+def noise_texture(
+    points: np.ndarray, fractal: Fractal, distortion: np.ndarray | float = 0.0, coloured: bool = False
+) -> np.ndarray:
     """(n, 1), or (n, 3) of a colour, at points (n, d), d of 1 to 4. distortion: a number or (n, 1)."""
     points = np.asarray(points, np.float64)
     d = points.shape[1]
@@ -118,7 +131,7 @@ def _offset(seed: int, dimensions: int) -> np.ndarray:
     return np.concatenate([100.0 + 100.0 * uniform(*key) for key in keys])
 
 
-def gradient_noise(points) -> np.ndarray:
+def gradient_noise(points: np.ndarray) -> np.ndarray:
     """(n, 1) in about [-1, 1] at points (n, d), d of 1 to 4."""
     # Cycles works in single precision; the lattice cell must be the same.
     points = np.asarray(points, np.float32)
@@ -138,27 +151,27 @@ def gradient_noise(points) -> np.ndarray:
 # Dot product of the gradient that a hash selects with an offset.
 
 
-def _signed(h, bit: int, value):
+def _signed(h: np.ndarray, bit: int, value: np.ndarray) -> np.ndarray:
     return np.where(h & bit, -value, value)
 
 
-def _slope_1d(h, x):
+def _slope_1d(h: np.ndarray, x: np.ndarray) -> np.ndarray:
     return _signed(h, 8, 1.0 + (h & 7)) * x
 
 
-def _slope_2d(h, x, y):
+def _slope_2d(h: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     near = (h & 7) < 4
     return _signed(h, 1, np.where(near, x, y)) + 2.0 * _signed(h, 2, np.where(near, y, x))
 
 
-def _slope_3d(h, x, y, z):
+def _slope_3d(h: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """The twelve edges of a cube, four of them twice."""
     h = h & 15
     u, v = np.where(h < 8, x, y), np.where(h < 4, y, np.where((h == 12) | (h == 14), x, z))
     return _signed(h, 1, u) + _signed(h, 2, v)
 
 
-def _slope_4d(h, x, y, z, w):
+def _slope_4d(h: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     h = h & 31
     u, v, s = np.where(h < 24, x, y), np.where(h < 16, y, z), np.where(h < 8, z, w)
     return _signed(h, 1, u) + _signed(h, 2, v) + _signed(h, 4, s)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The Gradient, Wave, Magic, Checker, Brick and White Noise Textures, at points (n, 3)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from .noise import Fractal
 TURN = 2.0 * np.pi
 
 
-def gradient(points, kind: str) -> np.ndarray:
+def gradient(points: np.ndarray, kind: str) -> np.ndarray:
     """(n, 1) in [0, 1]: the Gradient Texture of one kind."""
     x, y = points[:, :1], points[:, 1:2]
     inside = np.maximum(0.999999 - np.linalg.norm(points, axis=1, keepdims=True), 0.0)
@@ -28,7 +29,7 @@ def gradient(points, kind: str) -> np.ndarray:
     return np.clip(value, 0.0, 1.0)
 
 
-def _off_integers(points):
+def _off_integers(points: np.ndarray) -> np.ndarray:
     """Points moved a little, so that coordinates that are whole numbers lie on one side of a step."""
     return (points + 1e-6) * 0.999999
 
@@ -46,7 +47,7 @@ class Wave:
     roughness: np.ndarray | float
     phase: np.ndarray | float
 
-    def at(self, points) -> np.ndarray:
+    def at(self, points: np.ndarray) -> np.ndarray:
         """(n, 1) in [0, 1]."""
         points = _off_integers(points)
         if self.rings:
@@ -71,7 +72,7 @@ class Wave:
 
 
 # Steps of the Magic Texture from its second on: what changes, its function, and the signs of x, y and z within.
-MAGIC = [
+MAGIC: list[tuple[int, Callable[[np.ndarray], np.ndarray], tuple[int, int, int]]] = [
     (1, lambda t: -np.cos(t), (1, -1, 1)),
     (0, np.cos, (1, -1, -1)),
     (2, np.sin, (-1, -1, -1)),
@@ -85,7 +86,7 @@ MAGIC = [
 ]
 
 
-def magic(points, depth: int, distortion) -> np.ndarray:
+def magic(points: np.ndarray, depth: int, distortion: np.ndarray) -> np.ndarray:
     """(n, 3), the Magic Texture's colour; its factor is the mean."""
     x, y, z = (5.0 * np.fmod(points, TURN)).T[..., None]
     v = [np.sin(x + y + z), np.cos(-x + y - z), -np.cos(-x - y + z)]
@@ -93,11 +94,11 @@ def magic(points, depth: int, distortion) -> np.ndarray:
         v = [part * distortion for part in v]
     for changed, function, signs in MAGIC[:depth]:
         v[changed] = distortion * function(sum(sign * part for sign, part in zip(signs, v)))
-    v = np.concatenate(v, axis=1)
-    return 0.5 - np.where(distortion != 0.0, v / np.where(distortion != 0.0, 2.0 * distortion, 1.0), v)
+    parts = np.concatenate(v, axis=1)
+    return 0.5 - np.where(distortion != 0.0, parts / np.where(distortion != 0.0, 2.0 * distortion, 1.0), parts)
 
 
-def checker(points) -> np.ndarray:
+def checker(points: np.ndarray) -> np.ndarray:
     """(n, 1), 1 in cells of the first colour, else 0."""
     return (np.floor(_off_integers(points)).sum(axis=1, keepdims=True) % 2.0 != 0.0) * 1.0
 
@@ -116,11 +117,12 @@ class Brick:
     width: np.ndarray | float
     height: np.ndarray | float
 
-    def at(self, points) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n, 1) shares of the second brick colour, and of mortar."""
         x, y = points[:, :1], points[:, 1:2]
         row = np.floor(y / self.height)
-        width, shift = self.width, 0.0
+        width: np.ndarray | float = self.width
+        shift: np.ndarray | float = 0.0
         if self.offset_frequency and self.squash_frequency:
             width = width * np.where(row % self.squash_frequency == 0.0, self.squash, 1.0)
             shift = np.where(row % self.offset_frequency == 0.0, width * self.offset, 0.0)
@@ -135,7 +137,7 @@ class Brick:
         return tint, np.where(near < self.mortar_size, share, 0.0)
 
 
-def _integer_noise(number):
+def _integer_noise(number: np.ndarray) -> np.ndarray:
     """Perlin's integer noise in [0, 1], in 32 bits."""
     n = (number + 1013) & 0x7FFFFFFF
     n = (n >> 13) ^ n
@@ -143,7 +145,7 @@ def _integer_noise(number):
     return 0.5 * m / 1073741824.0
 
 
-def white_noise(points, coloured: bool) -> np.ndarray:
+def white_noise(points: np.ndarray, coloured: bool) -> np.ndarray:
     """(n, 1), or (n, 3) of a colour, in [0, 1], at points (n, d), d of 1 to 4: another where any bit differs."""
     numbers = points.T
     return uniform_colour(*numbers) if coloured else uniform(*numbers)[:, None]

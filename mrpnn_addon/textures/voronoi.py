@@ -5,9 +5,12 @@ The distance to edges is Quilez' (iquilezles.org/articles/voronoilines), the smo
 """
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .hashing import cell_colour, cell_point
 
@@ -36,7 +39,7 @@ class Voronoi:
     normalize: bool = False
     pcg: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.detail = np.clip(self.detail, 0.0, MAX_DETAIL)
         self.roughness, self.randomness = np.clip(self.roughness, 0.0, 1.0), np.clip(self.randomness, 0.0, 1.0)
         self.smoothness = np.clip(np.asarray(self.smoothness) / 2.0, 0.0, 0.5)
@@ -44,7 +47,10 @@ class Voronoi:
     def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distance (n, 1), colour (n, 3) and position (n, d) of F1, F2 or smooth F1 at points (n, d), d of 1 to 4."""
         feature = {"F1": self._nearest, "F2": self._second, "SMOOTH_F1": self._smooth}[self.feature]
-        distance, colour, position, most = 0.0, 0.0, 0.0, 0.0
+        distance: Any = 0.0
+        colour: Any = 0.0
+        position: Any = 0.0
+        most: Any = 0.0
         for points_here, scale, amplitude, share in self._octaves(points):
             near, tint, place = feature(points_here)
             distance, colour = distance + share * amplitude * near, colour + share * amplitude * tint
@@ -59,7 +65,8 @@ class Voronoi:
     def edge(self, points: np.ndarray) -> np.ndarray:
         """Distance (n, 1) to the nearest edge between cells at points (n, d)."""
         farthest = 0.5 + 0.5 * self.randomness
-        distance, most = FAR, farthest
+        distance: Any = FAR
+        most: Any = farthest
         for number, (points_here, scale, amplitude, share) in enumerate(self._octaves(points)):
             near = self._edge(points_here) / scale
             nearer = distance + amplitude * (np.minimum(distance, near) - distance)
@@ -81,21 +88,23 @@ class Voronoi:
                 other = np.minimum(other, _length(place - nearest.place))
         return 0.5 * other
 
-    def _octaves(self, points):
+    def _octaves(self, points: np.ndarray) -> Iterator[tuple[np.ndarray, Any, Any, Any]]:
         """Yield points, scale, amplitude and the share that counts of each octave."""
-        scale, amplitude, single = 1.0, 1.0, (self.detail == 0.0) | (self.roughness == 0.0)
+        scale: Any = 1.0
+        amplitude: Any = 1.0
+        single = (self.detail == 0.0) | (self.roughness == 0.0)
         for number in range(int(np.ceil(np.max(np.where(single, 0.0, self.detail)))) + 1):
             share = np.clip(np.where(single, 0.0, self.detail) - number + 1.0, 0.0, 1.0) if number else 1.0
             yield points * scale, scale, amplitude, share
             scale, amplitude = scale * self.lacunarity, amplitude * self.roughness
 
-    def _place(self, cell, offset) -> np.ndarray:
+    def _place(self, cell: np.ndarray, offset: ArrayLike) -> np.ndarray:
         """The point (n, d) of a cell's neighbour, relative to the cell; offset: (d,) or (n, d)."""
         offset = np.asarray(offset, np.float32)
         at = cell + offset
         return offset + cell_point(at, self.pcg) * self.randomness
 
-    def _distance(self, along) -> np.ndarray:
+    def _distance(self, along: np.ndarray) -> np.ndarray:
         """(n, 1) length of vectors (n, d)."""
         along = np.abs(along)
         if self.metric == "EUCLIDEAN" or along.shape[1] == 1:
@@ -106,7 +115,7 @@ class Voronoi:
             return along.max(axis=1, keepdims=True)
         return (along**self.exponent).sum(axis=1, keepdims=True) ** (1.0 / np.asarray(self.exponent))
 
-    def _nearest(self, points, second=False):
+    def _nearest(self, points: np.ndarray, second: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cell, local = _split(points)
         best = _Best(len(points), points.shape[1])
         behind = _Best(len(points), points.shape[1])
@@ -125,14 +134,17 @@ class Voronoi:
         found = behind if second else best
         return found.distance, cell_colour(cell + found.offset, self.pcg), found.place + cell
 
-    def _second(self, points):
+    def _second(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self._nearest(points, second=True)
 
-    def _smooth(self, points):
+    def _smooth(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if np.all(self.smoothness == 0.0):
             return self._nearest(points)
         cell, local = _split(points)
-        smoothness, distance, colour, position = np.maximum(self.smoothness, 1e-6), 0.0, 0.0, 0.0
+        smoothness = np.maximum(self.smoothness, 1e-6)
+        distance: Any = 0.0
+        colour: Any = 0.0
+        position: Any = 0.0
         for number, offset in enumerate(_around(points.shape[1], 2)):
             place = self._place(cell, offset)
             here = self._distance(place - local)
@@ -146,7 +158,7 @@ class Voronoi:
             position = position + h * (place - position) - correction
         return distance, colour, position + cell
 
-    def _edge(self, points):
+    def _edge(self, points: np.ndarray) -> np.ndarray:
         cell, local = _split(points)
         if points.shape[1] == 1:
             left, middle, right = (self._place(cell, (offset,)) for offset in (-1, 0, 1))
@@ -169,29 +181,29 @@ class Voronoi:
 class _Best:
     """The nearest of several points: distance (n, 1), offset of its cell and place (n, d)."""
 
-    def __init__(self, n, d):
+    def __init__(self, n: int, d: int) -> None:
         self.distance, self.offset = np.full((n, 1), np.inf), np.zeros((n, d), np.float32)
         self.place = np.zeros((n, d))
 
-    def take(self, distance, offset, place):
+    def take(self, distance: np.ndarray, offset: ArrayLike, place: np.ndarray) -> None:
         nearer = distance < self.distance
         self.distance = np.where(nearer, distance, self.distance)
         self.offset = np.where(nearer, np.asarray(offset, np.float32), self.offset)
         self.place = np.where(nearer, place, self.place)
 
 
-def _split(points):
+def _split(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lattice cells, and positions within, float32 (n, d)."""
     points = np.asarray(points, np.float32)
     cell = np.floor(points)
     return cell, points - cell
 
 
-def _around(dimensions: int, reach: int):
+def _around(dimensions: int, reach: int) -> Iterator[tuple[int, ...]]:
     """Offsets (d,) of neighbouring cells, the first axis fastest: the smooth distance depends on the order."""
     for offset in itertools.product(range(-reach, reach + 1), repeat=dimensions):
         yield offset[::-1]
 
 
-def _length(along):
+def _length(along: np.ndarray) -> np.ndarray:
     return np.sqrt((along * along).sum(axis=1, keepdims=True))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Aligned grids of one file, in the blocks in which any of them is not 0."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from ...inference.scene.sparse_grid import EDGE, SparseGrid, blocks_of
@@ -15,21 +17,27 @@ class CommonBlocks:
     Raises ValueError where blocks of SparseGrids overlap partially.
     """
 
-    def __init__(self, grids: dict[str, np.ndarray | SparseGrid], offsets, shape):
+    def __init__(
+        self,
+        grids: dict[str, np.ndarray | SparseGrid],
+        offsets: Mapping[str, np.ndarray],
+        shape: Sequence[int] | np.ndarray,
+    ) -> None:
         starts = [offsets[name] - grid.first for name, grid in grids.items() if isinstance(grid, SparseGrid)]
         self.origin = -(-starts[0] % EDGE) if starts else np.zeros(3, int)
         if any(np.any((start - self.origin) % EDGE) for start in starts):
             raise ValueError("blocks overlap in part")
         count = -(-(np.array(shape) - self.origin) // EDGE)
-        found = {}
+        found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         for name, grid in grids.items():
             places, values = _blocks(grid, offsets[name] - self.origin)
-            found[name] = np.ravel_multi_index(places.T, count), values
-        self._alone = None
+            found[name] = np.ravel_multi_index(tuple(places.T), count), values
+        self._alone: SparseGrid | None = None
         if len(found) == 1:
             ((name, (numbers, values)),) = found.items()
             self.arrays = {name: values}
-            self._alone = grids[name] if isinstance(grids[name], SparseGrid) else None
+            only = grids[name]
+            self._alone = only if isinstance(only, SparseGrid) else None
         else:
             numbers = np.unique(np.concatenate([part for part, _ in found.values()]))
             self.arrays = {name: np.zeros((len(numbers), EDGE, EDGE, EDGE), np.float32) for name in found}
@@ -51,7 +59,7 @@ class CommonBlocks:
         return self._frame.with_rows(values)
 
 
-def _blocks(grid, offset):
+def _blocks(grid: np.ndarray | SparseGrid, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions int (n, 3) and values float32 (n, 8, 8, 8) of the blocks in which a grid is not 0.
 
     offset: int (3,), position of the grid in the box.

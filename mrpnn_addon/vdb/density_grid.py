@@ -2,8 +2,11 @@
 """One density grid of one .vdb file. Any thread may read it: bpy is only imported."""
 
 import os
+import subprocess
 import weakref
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import bpy
 import numpy as np
@@ -50,12 +53,15 @@ class DensityGrid:
 
 
 # Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, notes.
-_in_use = {}
+_in_use: dict[tuple, tuple] = {}
 # Files that another process has read without crashing, and grids without a positive voxel, by the same key.
-_verified, _empty = set(), set()
+_verified: set[tuple] = set()
+_empty: set[tuple] = set()
 
 
-def read_density_grid(path: str, grid_name: str, owner: str, started=lambda process: None) -> DensityGrid:
+def read_density_grid(
+    path: str, grid_name: str, owner: str, started: Callable[[subprocess.Popen], None] = lambda process: None
+) -> DensityGrid:
     """Read grid `grid_name` of the file `path` for the object `owner`; cached while the result is in use.
 
     Of a grid of vectors one component is read: its name is the grid's and one of `worker.COMPONENTS`.
@@ -109,12 +115,12 @@ def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | 
     return DensityGrid(values, matrix.copy(), low, [f'Volume object "{owner}": {note}' for note in notes])
 
 
-def _nothing(key, grid_name, where) -> EmptyGrid:
+def _nothing(key: tuple | None, grid_name: str, where: str) -> EmptyGrid:
     _empty.add(key)
     return EmptyGrid(f'{where}: grid "{grid_name}" is empty (no voxel above 0)')
 
 
-def _key(path: str, grid_name: str):
+def _key(path: str, grid_name: str) -> tuple | None:
     """Differs when the file has changed."""
     try:
         facts = os.stat(path)
@@ -133,7 +139,7 @@ def unreadable(path: str, reason: str) -> str:
     return f"cannot read {path} as OpenVDB ({reason})"
 
 
-def _require_density(grids, path, grid_name, where) -> list[str]:
+def _require_density(grids: list, path: str, grid_name: str, where: str) -> list[str]:
     """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
     found = [(kind, use) for name, kind, use in grids if name == grid_name]
     wanted = SCALAR_GRIDS
@@ -157,12 +163,14 @@ def _require_density(grids, path, grid_name, where) -> list[str]:
     return [several] if len(found) > 1 else []
 
 
-def _read(path, grid_name, where, key, started):
+def _read(
+    path: str, grid_name: str, where: str, key: tuple | None, started: Callable[[subprocess.Popen], None]
+) -> tuple[dict, Any]:
     """(facts, leaves) of `read_grid` and `_collect`: from another process, or from this one where no process can be
     started or the file is small and verified.
     """
 
-    def collect(pieces):
+    def collect(pieces: Iterator[tuple[np.ndarray, np.ndarray]]) -> Any:
         return _collect(pieces, grid_name, where)
 
     found = None
@@ -181,7 +189,9 @@ def _read(path, grid_name, where, key, started):
     return found
 
 
-def _collect(pieces, grid_name, where):
+def _collect(
+    pieces: Iterator[tuple[np.ndarray, np.ndarray]], grid_name: str, where: str
+) -> tuple[np.ndarray, np.ndarray]:
     """(numbers, values) of all pieces; `values` has an extra first row of zeros.
 
     Raises SceneError where there are too many.
@@ -199,13 +209,13 @@ def _collect(pieces, grid_name, where):
     values = np.zeros((1 + count, LEAF, LEAF, LEAF), np.float32)
     # Pieces are freed once they are copied, so that memory holds the values once.
     while parts:
-        part = parts.pop()[1]
-        values[1 + count - len(part) : 1 + count] = part
-        count -= len(part)
+        last = parts.pop()[1]
+        values[1 + count - len(last) : 1 + count] = last
+        count -= len(last)
     return numbers, values
 
 
-def _arranged(facts, numbers, values):
+def _arranged(facts: dict, numbers: np.ndarray, values: np.ndarray) -> np.ndarray | SparseGrid:
     """The grid as a SparseGrid or, where that is faster, an array."""
     first = np.subtract(facts["low"], facts["first"])
     sparse = SparseGrid.of_blocks(facts["shape"], first, facts["count"], numbers, values)
@@ -218,7 +228,7 @@ def _arranged(facts, numbers, values):
     return sparse
 
 
-def _require_box(shape, grid_name, where) -> None:
+def _require_box(shape: Sequence[int], grid_name: str, where: str) -> None:
     """Raise SceneError for a box that is too large; measured on the tree, not on metadata."""
     # OpenVDB's box is inverted where there are no active voxels.
     if min(shape) < 1:
@@ -231,7 +241,7 @@ def _require_box(shape, grid_name, where) -> None:
         )
 
 
-def _clean(values, grid_name) -> list[str]:
+def _clean(values: np.ndarray, grid_name: str) -> list[str]:
     """Set negative and non-finite voxels to 0; notes their number."""
     # NaN fails both comparisons.
     if values.min() >= 0.0 and values.max() < np.inf:

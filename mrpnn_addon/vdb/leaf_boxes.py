@@ -14,7 +14,7 @@ FIVE = bpy.app.version >= (5, 0, 0)
 CLIPPING = 1e-3
 
 
-def leaves_around(grids: dict, low):
+def leaves_around(grids: dict, low: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """(grids, low): aligned grids by name, padded with zeros to the bounds of Cycles' leaves.
 
     low: int (3,), the file's index of their first voxel.
@@ -40,7 +40,7 @@ def boxes(grids: dict) -> np.ndarray:
     return np.kron(leaves, np.ones((LEAF,) * 3)).astype(np.float32)
 
 
-def _one_box(filled) -> np.ndarray:
+def _one_box(filled: np.ndarray) -> np.ndarray:
     share = np.ones(1, np.float32)
     for axis in range(3):
         found = np.flatnonzero(filled.any(axis=tuple(a for a in range(3) if a != axis)))

@@ -4,6 +4,7 @@
 import os
 import secrets
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
             os.unlink(unfinished)
 
 
-def _coefficients(openvdb, names: Sequence[str], nodes: NodeGrid, shift: np.float32) -> list:
+def _coefficients(openvdb: Any, names: Sequence[str], nodes: NodeGrid, shift: np.float32) -> list:
     """Grids of three coefficients each, the last filled up with zeros; the first coefficient is shifted."""
     values = nodes.values.copy()
     values[..., 0] += shift
@@ -78,7 +79,9 @@ def _coefficients(openvdb, names: Sequence[str], nodes: NodeGrid, shift: np.floa
     return [_grid(openvdb, name, part, nodes.world_from_index, (-1, -1, -1)) for name, part in zip(names, parts)]
 
 
-def _grid(openvdb, name: str, values: np.ndarray, world_from_index: np.ndarray, low=(0, 0, 0)):
+def _grid(
+    openvdb: Any, name: str, values: np.ndarray, world_from_index: np.ndarray, low: Sequence[int] = (0, 0, 0)
+) -> Any:
     """A grid of numbers (nx, ny, nz) or vectors (nx, ny, nz, 3); voxels that are 0 are not stored."""
     grid = openvdb.FloatGrid() if values.ndim == 3 else openvdb.Vec3SGrid()
     grid.copyFromArray(np.array(values, np.float32), ijk=low)

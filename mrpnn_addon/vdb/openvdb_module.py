@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from importlib.machinery import PathFinder
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -15,7 +16,7 @@ from ...inference.scene import SceneError
 MODULE_NAMES = ("openvdb", "pyopenvdb")
 
 
-def load_openvdb():
+def load_openvdb() -> Any:
     """The module, imported once.
 
     In a Blender program it is on the search path. The bpy wheels ship it in a folder that is not, so it is then loaded
@@ -44,7 +45,8 @@ def load_openvdb():
 
 def bundled_folders() -> list:
     """Folders of the module where Blender's search path lacks it."""
-    library = Path(bpy.utils.system_resource("PYTHON") or "") / "lib"
+    utils: Any = bpy.utils
+    library = Path(utils.system_resource("PYTHON") or "") / "lib"
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     return [str(library / version / "site-packages"), str(library / "site-packages")]
 

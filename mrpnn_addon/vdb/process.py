@@ -9,7 +9,9 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -31,7 +33,14 @@ WALL_CLOCK_FACTOR = 10
 WINDOWS_CRASH = 0xC0000000
 
 
-def read_in_process(path: str, grid_name: str, most_voxels: int, where: str, collect, started=lambda process: None):
+def read_in_process(
+    path: str,
+    grid_name: str,
+    most_voxels: int,
+    where: str,
+    collect: Callable[[Iterator[tuple[np.ndarray, np.ndarray]]], Any],
+    started: Callable[[subprocess.Popen], None] = lambda process: None,
+) -> tuple[dict, Any]:
     """(facts, collect(pieces)) as `worker.read_grid` returns them; facts {"error": reason} where OpenVDB refuses the
     file.
 
@@ -80,7 +89,7 @@ class _Short(Exception):
     """Output that ends early."""
 
 
-def _receive(stream, collect):
+def _receive(stream: Any, collect: Callable[[Iterator[tuple[np.ndarray, np.ndarray]]], Any]) -> tuple[dict, Any]:
     """(facts, collected pieces) from a process' output; None where it ends early."""
     line = stream.readline()
     if not line.endswith(b"\n"):
@@ -91,14 +100,14 @@ def _receive(stream, collect):
         return None
 
 
-def _pieces(stream):
+def _pieces(stream: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield what `worker.main` writes. Raises _Short."""
     while count := int(_fill(stream, np.empty(1, np.int64))[0]):
         yield _fill(stream, np.empty(count, np.int64)), _fill(stream, np.empty((count, LEAF, LEAF, LEAF), np.float32))
 
 
-def _fill(stream, array):
-    place = memoryview(array).cast("B")
+def _fill(stream: Any, array: np.ndarray) -> np.ndarray:
+    place = array.data.cast("B")
     while len(place):
         read = stream.readinto(place)
         if not read:
@@ -107,12 +116,12 @@ def _fill(stream, array):
     return array
 
 
-def _died(status) -> bool:
+def _died(status: int) -> bool:
     """Whether the file ended the process; a Python that cannot start ends with a small status."""
     return status == NO_MEMORY or status < 0 or status >= WINDOWS_CRASH
 
 
-def _ending(status) -> str:
+def _ending(status: int) -> str:
     if status == NO_MEMORY:
         return f"would have needed more than {MEMORY >> 30} GiB"
     return f"was ended by signal {-status}" if status < 0 else f"crashed with {status:#x}"

@@ -14,6 +14,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
+from typing import Any
 
 NO_MODULE, NO_MEMORY = 77, 78
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
@@ -24,7 +25,7 @@ COMPONENTS = ("[0]", "[1]", "[2]")
 LEAF, NODE, NODE_DEPTH = 8, 128, 2
 
 
-def read_grid(openvdb, path: str, name: str, most_voxels: int):
+def read_grid(openvdb: Any, path: str, name: str, most_voxels: int) -> tuple[dict, Iterator]:
     """(facts, pieces) of a grid; name: its own, or that of a vector grid and one of COMPONENTS.
 
     facts: "grids": [name, type, class] of each grid in the file. If the first grid of that name is a fog volume, also
@@ -58,21 +59,21 @@ def utf8_link(path: str) -> Iterator[str]:
         yield path
 
 
-def _name(grid) -> str:
+def _name(grid: Any) -> str:
     try:
         return grid.name
     except UnicodeDecodeError as error:
         return error.object.decode("utf-8", "backslashreplace")
 
 
-def _read_grid(openvdb, path: str, name: str, most_voxels: int):
+def _read_grid(openvdb: Any, path: str, name: str, most_voxels: int):
     # Never readAll: it can end the whole process on unusual files.
     headers = [(_name(grid), type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
     component = None
     if name.endswith(COMPONENTS) and not any(header[0] == name for header in headers):
         name, component = name[: -len(COMPONENTS[0])], COMPONENTS.index(name[-len(COMPONENTS[0]) :])
     if not is_fog(next((header for header in headers if header[0] == name), None), component is not None):
-        return {"grids": headers}, ()
+        return {"grids": headers}, iter(())
     grid = openvdb.read(path, name)
     background = grid.background if component is None else grid.background[component]
     low, high = grid.evalActiveVoxelBoundingBox()
@@ -89,10 +90,17 @@ def _read_grid(openvdb, path: str, name: str, most_voxels: int):
         "matrix": _matrix(grid.transform),
     }
     fits = min(shape) >= 1 and shape[0] * shape[1] * shape[2] <= most_voxels and background == 0.0
-    return facts, _pieces(grid, component, low, high, first, count) if fits else ()
+    return facts, _pieces(grid, component, low, high, first, count) if fits else iter(())
 
 
-def _pieces(grid, component, low, high, first, count):
+def _pieces(
+    grid: Any,
+    component: int | None,
+    low: Sequence[int],
+    high: Sequence[int],
+    first: Sequence[int],
+    count: Sequence[int],
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The pieces of `read_grid`, one per node. component: number of that of a vector grid, None for others."""
     import numpy
 
@@ -117,12 +125,12 @@ def _pieces(grid, component, low, high, first, count):
             yield numpy.ravel_multi_index(places, count).astype(numpy.int64), split[found]
 
 
-def is_fog(header, vectors: bool = False) -> bool:
+def is_fog(header: Sequence[str], vectors: bool = False) -> bool:
     """Whether a grid, an item of "grids", can be a density or, if it is one of vectors, a colour."""
     return header is not None and header[1] in (VECTOR_GRIDS if vectors else SCALAR_GRIDS) and header[2] != "level set"
 
 
-def _matrix(transform):
+def _matrix(transform: Any) -> list[list[float]]:
     if not transform.isLinear:
         return None
     origin = transform.indexToWorld((0.0, 0.0, 0.0))
@@ -145,7 +153,7 @@ def limit(seconds: int, size: int) -> None:
             file.write("1000")
 
 
-def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:
+def main(path: str, grid_name: str, most_voxels: str, seconds: str, size: str, *folders: str) -> int:
     sys.path += folders
     try:
         import numpy  # noqa: F401, imported before memory is limited
@@ -163,7 +171,7 @@ def main(path, grid_name, most_voxels, seconds, size, *folders) -> int:
     except MemoryError:
         return NO_MEMORY
     except Exception as error:
-        facts, pieces = {"error": str(error)}, ()
+        facts, pieces = {"error": str(error)}, iter(())
     try:
         write(json.dumps(facts).encode() + b"\n")
         for numbers, values in pieces:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...inference.plan.resolution import refinement
 from ...inference.scene import Medium, SceneError, Volume
+from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import VolumeMaterial, first_material
 from ..objects.visibility import VisibleObject
 from ..objects.workload import Box
@@ -23,10 +24,10 @@ USUAL_PEAK = 2.0
 class _OnesProbe(Probe):
     """One point where every grid is 1."""
 
-    def has(self, name):
+    def has(self, name: str) -> bool:
         return True
 
-    def _read(self, name):
+    def _read(self, name: str) -> np.ndarray:
         return np.ones((1, 1))
 
 
@@ -78,7 +79,8 @@ def remember_density(shown: VisibleObject, volume: Volume, medium: Medium) -> No
     if known is not None and known.density() is volume.density:
         peak, filled = known.peak, known.filled
     else:
-        peak, values = float(volume.density.max()), getattr(volume.density, "values", volume.density)
+        peak, density = float(volume.density.max()), volume.density
+        values = density.values if isinstance(density, SparseGrid) else density
         filled = np.count_nonzero(values) / float(np.prod(volume.density.shape, dtype=float))
     _densities[shown.name] = _Density(
         peak * float(np.max(medium.sigma_t)),
@@ -108,7 +110,7 @@ def _extinctions(shown: VisibleObject) -> np.ndarray:
     """(3,) extinction per world unit where all grids are 1; 1 for materials that cannot be evaluated."""
     scale = 1.0
     if shown.object.type == "VOLUME":
-        scale = density_scale(shown.object.data.render.space, shown.matrix)
+        scale = density_scale(shown.data.render.space, shown.matrix)
     meshed = shown.object.type != "VOLUME" and not gas_domain(shown.object)
     try:
         shading = VolumeMaterial(first_material(shown.object), shown.name).at(_OnesProbe((), fills_its_bounds=meshed))
@@ -123,7 +125,7 @@ def _extinctions(shown: VisibleObject) -> np.ndarray:
 
 def _voxel(shown: VisibleObject, edges: np.ndarray) -> tuple[float, float]:
     """Shortest and longest edge of a voxel, world units."""
-    domain, data = gas_domain(shown.object), shown.object.data
+    domain, data = gas_domain(shown.object), shown.data
     if shown.object.type == "VOLUME" and data.grids.is_loaded and len(data.grids):
         matrix = shown.matrix @ np.array(data.grids[0].matrix_object)
         sizes = np.linalg.norm(matrix[:3, :3], axis=0)

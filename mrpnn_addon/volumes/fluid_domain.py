@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Smoke and fire of a fluid simulation's domain, as grids."""
 
+import subprocess
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
+import bpy
 import numpy as np
 
-from .shaded_grid import refuse_nothing, shade
+from ..nodes.material import VolumeMaterial
+from .shaded_grid import ShadedGrid, refuse_nothing, shade
 from .source import VolumeSource
 from .voxel_points import Probe, VoxelDomain, components
 
@@ -18,16 +23,17 @@ GRIDS = ("density", "flame", "heat", "temperature")
 COLOUR = "color"
 
 
-def gas_domain(shown_object):
+def gas_domain(shown_object: "bpy.types.Object") -> Any:
     """Settings of an evaluated object's gas domain; None without one."""
-    for modifier in shown_object.modifiers:
+    modifiers: Any = shown_object.modifiers
+    for modifier in modifiers:
         if modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN":
             if modifier.domain_settings.domain_type == "GAS":
                 return modifier.domain_settings
     return None
 
 
-def read_grids(domain) -> dict[str, np.ndarray]:
+def read_grids(domain: Any) -> dict[str, np.ndarray]:
     """The GRIDS that exist in this frame, float32 (nx, ny, nz) each, on the density's voxels, and the components of the
     colour.
     """
@@ -54,20 +60,20 @@ def read_grids(domain) -> dict[str, np.ndarray]:
     return found
 
 
-def is_empty(domain) -> bool:
+def is_empty(domain: Any) -> bool:
     """Whether the domain has neither smoke nor fire in this frame."""
     return not any(_values(domain, name).any() for name in ("density", "flame"))
 
 
-def checksum(domain) -> int:
+def checksum(domain: Any) -> int:
     """Checksum of the grids in this frame; their names do not change with their content."""
     result = 0
     for name in (*GRIDS, COLOUR):
-        result = zlib.crc32(_values(domain, name), result)
+        result = zlib.crc32(_values(domain, name).data, result)
     return result
 
 
-def _values(domain, name: str) -> np.ndarray:
+def _values(domain: Any, name: str) -> np.ndarray:
     held = getattr(domain, f"{name}_grid")
     values = np.zeros(len(held), np.float32)
     if len(values):
@@ -75,12 +81,12 @@ def _values(domain, name: str) -> np.ndarray:
     return values
 
 
-def vectors_of(grids) -> tuple[str, ...]:
+def vectors_of(grids: dict[str, np.ndarray]) -> tuple[str, ...]:
     """Names of the grids of vectors whose components are among the grids of `read_grids`."""
     return (COLOUR,) if all(name in grids for name in components(COLOUR)) else ()
 
 
-def probe_grids(material, grids) -> Probe:
+def probe_grids(material: VolumeMaterial, grids: dict[str, np.ndarray]) -> Probe:
     """A probe that has evaluated a VolumeMaterial where all grids are 0.
 
     Raises SceneError where the material reads a grid that does not exist, or none.
@@ -110,7 +116,9 @@ class FluidSource(VolumeSource):
     grids: dict[str, np.ndarray]
     generated: np.ndarray
 
-    def _read(self, started, check):
+    def _read(
+        self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
+    ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
         shape = np.array(next(iter(self.grids.values())).shape)
         texture_from_index = np.diag([*(1.0 / shape), 1.0])
         texture_from_index[:3, 3] = 0.5 / shape

@@ -4,9 +4,17 @@
 `read_scene` then finds them cached on Blender's main thread.
 """
 
+import subprocess
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 from ...inference.scene import Cancelled
 from ..runtime.background import Worker
+from ..world.picture import WorldSource
 from .source import VolumeSource
+
+if TYPE_CHECKING:
+    from .reader import VolumeReader
 
 
 class VolumeLoading(Worker):
@@ -15,8 +23,9 @@ class VolumeLoading(Worker):
     message: the current step.
     """
 
-    def __init__(self, reader, sources: list[VolumeSource]):
-        self.reader, self.sources, self._process = reader, sources, None
+    def __init__(self, reader: "VolumeReader", sources: "Sequence[VolumeSource | WorldSource]") -> None:
+        self.reader, self.sources = reader, sources
+        self._process: subprocess.Popen | None = None
         self.message = sources[0].message if sources else ""
         self._start("mrpnn reading", awaited=False)
 
@@ -26,7 +35,7 @@ class VolumeLoading(Worker):
         if self._process is not None:
             self._process.kill()
 
-    def _work(self):
+    def _work(self) -> None:
         try:
             for number, source in enumerate(self.sources):
                 self.message = source.message
@@ -35,11 +44,11 @@ class VolumeLoading(Worker):
         finally:
             self._check()
 
-    def _check(self):
+    def _check(self) -> None:
         if self.stopped:
             raise Cancelled()
 
-    def _started(self, process):
+    def _started(self, process: subprocess.Popen) -> None:
         self._process = process
         if self.stopped:
             process.kill()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Closed meshes as grids of the share of each voxel that lies inside."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,7 @@ class Inside:
     object_from_index: np.ndarray
 
 
-def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None) -> Inside:
+def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[], None] = lambda: None) -> Inside:
     """The inside of a mesh, in voxels that are about cubic in the world.
 
     corners: float64 (T, 3, 3), its triangles in object space. matrix: float64 (4, 4), object to world. check: called
@@ -54,7 +55,7 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check=lambda: None
     return Inside(share, index)
 
 
-def _share(corners: np.ndarray, cells, check) -> tuple:
+def _share(corners: np.ndarray, cells: np.ndarray, check: Callable[[], None]) -> tuple:
     """Inside share of each voxel, and the share of columns whose entries and exits do not balance.
 
     corners: (T, 3, 3) in voxels.
@@ -81,7 +82,7 @@ def _share(corners: np.ndarray, cells, check) -> tuple:
     return inside.reshape(cells).astype(np.float32), gaps
 
 
-def _crossings(corners: np.ndarray, cells):
+def _crossings(corners: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield (column, height, sign) where columns along z meet triangles; sign 1 where they enter."""
     flat = corners[:, :, :2] * COLUMNS - OFFSET
     first = np.maximum(np.ceil(flat.min(axis=1)), 0).astype(int)
@@ -90,7 +91,7 @@ def _crossings(corners: np.ndarray, cells):
     counts = spans.prod(axis=1)
     start = 0
     while start < len(corners):
-        end = max(np.searchsorted(np.cumsum(counts[start:]), PAIRS_PER_BATCH, side="right"), 1) + start
+        end = start + max(int(np.searchsorted(np.cumsum(counts[start:]), PAIRS_PER_BATCH, side="right")), 1)
         triangle = np.repeat(np.arange(start, end), counts[start:end])
         number = np.arange(len(triangle)) - np.repeat(
             np.cumsum(counts[start:end]) - counts[start:end], counts[start:end]
@@ -101,15 +102,17 @@ def _crossings(corners: np.ndarray, cells):
         start = end
 
 
-def _meet(flat, heights, x, y, cells):
+def _meet(
+    flat: np.ndarray, heights: np.ndarray, x: np.ndarray, y: np.ndarray, cells: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     point = np.stack([x, y], axis=1)
     edges = []
     for one, two in ((1, 2), (2, 0), (0, 1)):
         along, off = flat[:, two] - flat[:, one], point - flat[:, one]
         edges.append(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0])
-    edges = np.stack(edges, axis=1)
-    area = edges.sum(axis=1)
-    hit = (area != 0.0) & (np.all(edges >= 0.0, axis=1) | np.all(edges <= 0.0, axis=1))
-    height = (edges[hit] * heights[hit]).sum(axis=1) / area[hit]
+    across = np.stack(edges, axis=1)
+    area = across.sum(axis=1)
+    hit = (area != 0.0) & (np.all(across >= 0.0, axis=1) | np.all(across <= 0.0, axis=1))
+    height = (across[hit] * heights[hit]).sum(axis=1) / area[hit]
     # A triangle whose normal points down is entered from below.
     return x[hit] * cells[1] * COLUMNS + y[hit], height, -np.sign(area[hit])

@@ -2,11 +2,14 @@
 """Reads the files of an animation's next frame while this one renders."""
 
 import re
+import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 from ...inference.scene import SceneError
 from ..runtime.background import Worker
 from ..vdb.density_grid import DensityGrid, read_density_grid
+from ..world.picture import WorldSource
 from .source import FileSource, VolumeSource
 
 
@@ -29,7 +32,7 @@ class ReadAhead(Worker):
 
     message = "reading volumes"
 
-    def __init__(self, sources: list[VolumeSource], step: int):
+    def __init__(self, sources: "Sequence[VolumeSource | WorldSource]", step: int) -> None:
         self.wanted = [
             (path, name, source.owner)
             for source in sources
@@ -39,7 +42,7 @@ class ReadAhead(Worker):
             for name in source.probe.names
         ]
         self.held: list[DensityGrid] = []
-        self._process = None
+        self._process: subprocess.Popen | None = None
         self._start("mrpnn reading ahead", awaited=False)
 
     def stop(self) -> None:
@@ -48,7 +51,7 @@ class ReadAhead(Worker):
         if self._process is not None:
             self._process.kill()
 
-    def _work(self):
+    def _work(self) -> None:
         for path, name, owner in self.wanted:
             if self.stopped:
                 return
@@ -57,7 +60,7 @@ class ReadAhead(Worker):
             except (SceneError, MemoryError):
                 pass
 
-    def _started(self, process):
+    def _started(self, process: subprocess.Popen) -> None:
         self._process = process
         if self.stopped:
             process.kill()

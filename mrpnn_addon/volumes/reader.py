@@ -6,6 +6,7 @@ import tempfile
 import weakref
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -18,6 +19,7 @@ from ..objects.visibility import VisibleObject, hidden_from_camera, visible_obje
 from ..runtime.text import text_of
 from ..vdb.density_grid import EmptyGrid, unreadable
 from ..world.lighting import wanted_world
+from ..world.picture import WorldSource
 from .fluid_domain import FluidSource, checksum, gas_domain, is_empty, probe_grids, read_grids
 from .shaded_grid import ShadedGrid
 from .source import FileSource, MeshSource, VolumeSource
@@ -66,7 +68,7 @@ class VolumeReader:
         self.known[key] = shaded, object_from_index, []
         scale = 1.0
         if shown.object.type == "VOLUME":
-            scale = density_scale(shown.object.data.render.space, shown.matrix)
+            scale = density_scale(shown.data.render.space, shown.matrix)
         pairs = [
             (
                 Volume(part.density, shown.matrix @ object_from_index, shown.name, part.emission, part.emission_power),
@@ -76,27 +78,33 @@ class VolumeReader:
         ]
         return pairs, warnings + [f"{where}: {note}" for note in shaded.notes]
 
-    def wanted(self, depsgraph, space=None) -> list[VolumeSource]:
+    def wanted(
+        self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D | None" = None
+    ) -> list[VolumeSource | WorldSource]:
         """Sources of the scene that are not read yet, including a World that Cycles has to render: for a
         `VolumeLoading`.
 
         space: as of `visible_objects`.
         """
-        found = {}
+        found: dict[tuple, VolumeSource] = {}
         for shown in visible_objects(depsgraph, space):
             if self._is_wanted(shown, depsgraph.view_layer):
                 found.update((source.key, source) for source in self._source(shown))
         return [*found.values(), *wanted_world(depsgraph)]
 
-    def load(self, source: VolumeSource, *arguments) -> None:
+    def load(self, source: VolumeSource | WorldSource, *arguments: Any) -> None:
         """Read a source, or record why it cannot be read; on any thread. arguments: of `VolumeSource.read`."""
         try:
-            self.known[source.key] = source.read(*arguments)
+            if isinstance(source, WorldSource):
+                # Its picture is remembered by `world.picture`.
+                source.read(*arguments)
+            else:
+                self.known[source.key] = source.read(*arguments)
         except SceneError as problem:
             # Drop the traceback, which holds references to the frames of its origin.
             self.known[source.key] = type(problem)(*problem.args)
 
-    def _is_wanted(self, shown: VisibleObject, view_layer) -> bool:
+    def _is_wanted(self, shown: VisibleObject, view_layer: "bpy.types.ViewLayer") -> bool:
         return (
             shows_volume(shown.object)
             and not (hidden_from_camera(shown, view_layer) or placement_problem(shown.matrix) or why_empty(shown))
@@ -121,7 +129,7 @@ def _key(shown: VisibleObject, placed: bool) -> tuple:
 
     Evaluated data belongs to its object or to all its instances; a fluid domain's changes with the frame.
     """
-    data, domain = shown.object.data, gas_domain(shown.object)
+    data, domain = shown.data, gas_domain(shown.object)
     shaders = tuple(material.as_pointer() if material else 0 for material in materials(shown.object))
     content = checksum(domain) if domain else None
     return data.name_full, data.as_pointer(), shaders, shown.matrix.tobytes() if placed else None, content
@@ -140,7 +148,7 @@ def _volume_source(shown: VisibleObject) -> VolumeSource:
 
 def why_empty(shown: VisibleObject) -> str:
     """Why an object that shows a volume is invisible in this frame; "" where it is not."""
-    data, domain = shown.object.data, gas_domain(shown.object)
+    data, domain = shown.data, gas_domain(shown.object)
     if not placement_problem(shown.matrix) and has_zero_scale(shown.matrix):
         return "has scale 0 in"
     if shown.object.type == "VOLUME" and data.is_sequence and load_grids(data) and not len(data.grids):
@@ -157,14 +165,15 @@ def load_grids(data: "bpy.types.Volume") -> bool:
     return data.grids.load()
 
 
-def _varies(volume_object) -> bool:
+def _varies(volume_object: "bpy.types.Object") -> bool:
     """Whether a volume changes in time: its file, its modifiers or its material."""
-    sequence = volume_object.type == "VOLUME" and volume_object.data.is_sequence
+    data: Any = volume_object.data
+    sequence = volume_object.type == "VOLUME" and data.is_sequence
     return sequence or bool(len(volume_object.modifiers)) or is_animated(first_material(volume_object))
 
 
 def _file_source(shown: VisibleObject, where: str) -> FileSource:
-    data = shown.object.data
+    data = shown.data
     if not load_grids(data) or not len(data.grids):
         raise SceneError(f"{where}: {_load_problem(data)}")
     path, folder = _own_file(shown.object), None
@@ -187,13 +196,14 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
     return source
 
 
-def _own_file(volume_object) -> str | None:
+def _own_file(volume_object: "bpy.types.Object") -> str | None:
     """The file of an object's volume; None without one or where modifiers change the volume."""
     changed = any(modifier.show_render or modifier.show_viewport for modifier in volume_object.modifiers)
-    return None if changed else volume_object.data.grids.frame_filepath or None
+    data: Any = volume_object.data
+    return None if changed else data.grids.frame_filepath or None
 
 
-def _load_problem(data) -> str:
+def _load_problem(data: "bpy.types.Volume") -> str:
     if not data.filepath:
         return "it loads no file; choose a .vdb file in its data properties"
     if data.grids.is_loaded:
@@ -228,9 +238,9 @@ def _mesh_source(shown: VisibleObject, where: str) -> MeshSource:
     return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, mesh, generated)
 
 
-def _generated(mesh_object) -> np.ndarray:
+def _generated(mesh_object: "bpy.types.Object") -> np.ndarray:
     """(4, 4): object space to the mesh's texture space, 0 to 1 over the bounds of the object's own mesh."""
-    mesh = mesh_object.data
+    mesh: Any = mesh_object.data
     location, size = np.array(mesh.texspace_location), np.array(mesh.texspace_size)
     matrix = np.eye(4)
     matrix[:3, :3] = np.diag(0.5 / size)

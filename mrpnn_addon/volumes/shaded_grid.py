@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A volume shader evaluated at every voxel: one density grid with uniform extinction, its albedo, and emission."""
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import bpy
@@ -9,7 +10,7 @@ import numpy as np
 from ...inference.scene import MAX_ANISOTROPY
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
-from ..nodes.material import EmptyMaterial, VolumeMaterial
+from ..nodes.material import EmptyMaterial, Shading, VolumeMaterial
 from ..nodes.phase_functions import phase_function
 from .voxel_points import Probe, VoxelDomain, VoxelPoints
 
@@ -66,7 +67,9 @@ class ShadedGrid:
         return replace(alone, emission=self.blackbody, emission_power=BLACKBODY_POWER)
 
 
-def _one_channel(emission, channel: int):
+def _one_channel(
+    emission: np.ndarray | tuple[SparseGrid, ...], channel: int
+) -> np.ndarray | tuple[SparseGrid, ...] | None:
     """Emission of one colour channel alone, as of `Volume`; None where there is none."""
     if isinstance(emission, tuple):
         dark = emission[channel].with_values(np.zeros_like(emission[channel].values))
@@ -75,7 +78,7 @@ def _one_channel(emission, channel: int):
     return emission * np.eye(3, dtype=np.float32)[channel] if emission[..., channel].any() else None
 
 
-def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> ShadedGrid:
+def shade(material: VolumeMaterial, domain: VoxelDomain, check: Callable[[], None] = lambda: None) -> ShadedGrid:
     """Evaluate a material at every voxel of a domain; density, albedo and emission have its shape.
 
     check: called often; an exception that it raises stops the evaluation.
@@ -85,7 +88,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
     """
     grids, inside, shape = domain.grids, domain.inside, domain.shape
 
-    def at(voxels):
+    def at(voxels: np.ndarray) -> tuple[VoxelPoints, Shading]:
         points = VoxelPoints(domain, voxels)
         return points, material.at(points)
 
@@ -130,6 +133,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
         extinction, scatter, varies, coloured = _one_colour(gram, reference)
     if not extinction.max() > 0.0 and not emits:
         _refuse_emptiness(material)
+    albedo: np.ndarray | tuple[np.ndarray, ...]
     albedo = np.clip(np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0), 0.0, 1.0)
     if varies:
         albedo = _albedo(at, shape, _chunks(grids, placed, inside), varies, check)
@@ -143,7 +147,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
     emission, glow, power = None, None, 1
     apart = shading.blackbody is not None and not INTERPOLATES_EMISSION
 
-    def radiance(voxels):
+    def radiance(voxels: Chunk):
         found = at(voxels)[1]
         return found.emission - found.blackbody if apart else found.emission
 
@@ -179,7 +183,12 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check=lambda: None) -> 
     )
 
 
-def _extinction(at, shape, chunks, check) -> np.ndarray:
+def _extinction(
+    at: Callable[[np.ndarray], tuple[VoxelPoints, Shading]],
+    shape: tuple[int, ...],
+    chunks: Iterable[np.ndarray],
+    check: Callable[[], None],
+) -> np.ndarray:
     """float32 (3, nx, ny, nz) of the voxels in chunks."""
     extinction = np.zeros((3, int(np.prod(shape))), np.float32)
     for voxels in chunks:
@@ -188,7 +197,13 @@ def _extinction(at, shape, chunks, check) -> np.ndarray:
     return extinction.reshape(3, *shape)
 
 
-def _albedo(at, shape, chunks, count: int, check) -> tuple[np.ndarray, ...]:
+def _albedo(
+    at: Callable[[np.ndarray], tuple[VoxelPoints, Shading]],
+    shape: tuple[int, ...],
+    chunks: Iterable[np.ndarray],
+    count: int,
+    check: Callable[[], None],
+) -> tuple[np.ndarray, ...]:
     """float32 (nx, ny, nz), once for all colour channels or for each of three, of the voxels in chunks."""
     albedo = np.zeros((count, int(np.prod(shape))), np.float32)
     for voxels in chunks:
@@ -200,7 +215,9 @@ def _albedo(at, shape, chunks, count: int, check) -> tuple[np.ndarray, ...]:
     return tuple(albedo.reshape(count, *shape))
 
 
-def _emission(radiance, emitting, shape, chunks, check) -> np.ndarray | None:
+def _emission(
+    radiance, emitting, shape: tuple[int, ...], chunks: Iterable[Chunk], check: Callable[[], None]
+) -> np.ndarray | None:
     """float32 (nx, ny, nz, 3) of the voxels in chunks; None where all are 0.
 
     radiance: of voxels. emitting: see VoxelDomain.
@@ -215,7 +232,7 @@ def _emission(radiance, emitting, shape, chunks, check) -> np.ndarray | None:
     return emission if emission.any() else None
 
 
-def _chunks(grids, placed: bool, inside):
+def _chunks(grids: dict[str, np.ndarray], placed: bool, inside: np.ndarray | None) -> Iterator[np.ndarray]:
     """Yield voxels to shade, int64 (n,) at a time: where the mesh or any grid is not 0, or all where the shader reads
     positions.
     """
@@ -229,11 +246,11 @@ def _chunks(grids, placed: bool, inside):
             yield start + voxels
 
 
-def _has_uniform_colour(shading) -> bool:
+def _has_uniform_colour(shading: Shading) -> bool:
     return len(shading.closures) == 1 and len(shading.closures[0].scatter) == len(shading.closures[0].absorb) == 1
 
 
-def _coefficients(shading) -> np.ndarray:
+def _coefficients(shading: Shading) -> np.ndarray:
     """(n, 6): summed extinction and scattering of all closures."""
     total = np.zeros((1, 6))
     for closure in shading.closures:
@@ -243,7 +260,7 @@ def _coefficients(shading) -> np.ndarray:
     return total
 
 
-def _sum_phases(phases, shading, voxels: int) -> None:
+def _sum_phases(phases: dict, shading: Shading, voxels: int) -> None:
     """Add to `phases` the scattering of so many voxels by each phase function."""
     for closure in shading.closures:
         scattered = voxels * float((np.maximum(closure.weight, 0.0) * closure.scatter).mean())
@@ -251,7 +268,7 @@ def _sum_phases(phases, shading, voxels: int) -> None:
             phases[closure.phase] = phases.get(closure.phase, 0.0) + scattered
 
 
-def _one_colour(gram, reference: int):
+def _one_colour(gram: np.ndarray, reference: int) -> tuple[np.ndarray, np.ndarray, int, bool]:
     """(extinction, scatter) (3,) per unit of the reference channel's extinction; of how many channels the albedo
     varies: 0 where it does not, 1 where it is grey, 3 otherwise; and whether the colour of the extinction varies.
     """
@@ -274,7 +291,7 @@ def _one_colour(gram, reference: int):
     return share[:3], share[3:], 1 if grey else 3, False
 
 
-def is_linear(material, probe: Probe) -> bool:
+def is_linear(material: VolumeMaterial, probe: Probe) -> bool:
     """Whether doubled grid values double all coefficients: voxel values then determine those between them.
 
     probe: has read the grids. Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
@@ -283,7 +300,7 @@ def is_linear(material, probe: Probe) -> bool:
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
 
 
-def _coefficients_at(material, probe: Probe, value: float) -> np.ndarray:
+def _coefficients_at(material: VolumeMaterial, probe: Probe, value: float) -> np.ndarray:
     """(9,) extinction, scattering and emission where every grid has one value."""
     grids = {name: np.full((1, 1, 1), value, np.float32) for name in probe.names}
     frames = {kind: np.eye(4) for kind in ("object", "world")}
@@ -314,13 +331,13 @@ def refine(values: np.ndarray) -> np.ndarray:
     return values
 
 
-def require_empty_background(material: VolumeMaterial, shading) -> None:
+def require_empty_background(material: VolumeMaterial, shading: Shading) -> None:
     """Raise SceneError where a shading at a point at which every grid is 0 has density."""
     if shading.closures and _coefficients(shading)[:, :3].max() > 0.0:
         _refuse_background(material)
 
 
-def _require_empty_background(material, points: VoxelPoints, density) -> None:
+def _require_empty_background(material: VolumeMaterial, points: VoxelPoints, density: np.ndarray) -> None:
     empty = np.ones(len(density), bool)
     for name in points.names:
         empty &= points.grids[name].reshape(-1)[points.voxels] == 0.0
@@ -328,16 +345,16 @@ def _require_empty_background(material, points: VoxelPoints, density) -> None:
         _refuse_background(material)
 
 
-def refuse_nothing(material):
+def refuse_nothing(material: VolumeMaterial) -> None:
     """Raise EmptyMaterial for a shader without scattering, absorption and emission."""
     material.refuse("it neither scatters, absorbs nor emits, so there is nothing to render", EmptyMaterial)
 
 
-def _refuse_emptiness(material):
+def _refuse_emptiness(material: VolumeMaterial) -> None:
     material.refuse("its density is 0 everywhere, so the volume is invisible", EmptyMaterial)
 
 
-def _refuse_background(material):
+def _refuse_background(material: VolumeMaterial) -> None:
     material.refuse(
         "it has density where the grids are 0, endless fog that Cycles cuts off at boxes around the "
         "voxels; multiply it by a grid last"

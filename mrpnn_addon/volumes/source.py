@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes found in a scene, to be read and shaded on any thread without calling bpy."""
 
+import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -42,7 +44,11 @@ class VolumeSource:
 
     message: ClassVar[str] = "reading volumes"
 
-    def read(self, started=lambda process: None, check=lambda: None) -> tuple[ShadedGrid, np.ndarray, list[str]]:
+    def read(
+        self,
+        started: Callable[[subprocess.Popen], None] = lambda process: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
         """Its shaded voxels; the matrix (4, 4) from voxel index to object space; and warnings.
 
         started: see `vdb.process.read_in_process`. check: called often; an exception that it raises stops the work.
@@ -54,6 +60,11 @@ class VolumeSource:
         except MemoryError:
             raise SceneError(f"{self.where}: not enough memory to read it; resample its grids") from None
 
+    def _read(
+        self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
+    ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
+        raise NotImplementedError
+
 
 @dataclass
 class MeshSource(VolumeSource):
@@ -62,7 +73,9 @@ class MeshSource(VolumeSource):
     mesh: Mesh
     generated: np.ndarray
 
-    def _read(self, started, check):
+    def _read(
+        self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
+    ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
         inside = fill(self.mesh.triangles(), self.matrix, self.where, check)
         frames = {
             "object": inside.object_from_index,
@@ -83,7 +96,9 @@ class FileSource(VolumeSource):
     probe: Probe
     is_sequence: bool = False
 
-    def _read(self, started, check):
+    def _read(
+        self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
+    ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
         material, probe, at_zero = self.material, self.probe, self.material.at(self.probe)
         if not probe.names:
             if not at_zero.closures and not at_zero.emission.any():
@@ -130,7 +145,7 @@ class FileSource(VolumeSource):
         shaded.notes = shaded.notes + notes
         return shaded, object_from_index, warnings
 
-    def _frames(self, object_from_index):
+    def _frames(self, object_from_index: np.ndarray) -> dict[str, np.ndarray]:
         # Generated coordinates of a Volume object are those of the object.
         return {
             "object": object_from_index,
@@ -138,7 +153,14 @@ class FileSource(VolumeSource):
             "world": self.matrix @ object_from_index,
         }
 
-    def _shade_blocks(self, read, offsets, shape, frames, check) -> ShadedGrid:
+    def _shade_blocks(
+        self,
+        read: dict[str, np.ndarray | SparseGrid],
+        offsets: dict[str, np.ndarray],
+        shape: np.ndarray,
+        frames: dict[str, np.ndarray],
+        check: Callable[[], None],
+    ) -> ShadedGrid:
         """As `shade`, for grids by name in a mostly empty box."""
         try:
             blocks = CommonBlocks(read, offsets, shape)
@@ -149,9 +171,11 @@ class FileSource(VolumeSource):
         grids = {name: blocks.arrays.get(name, nothing) for name in names}
         domain = VoxelDomain(grids, frames, index_of=blocks.index, vectors=probe.vectors)
         shaded = shade(self.material, domain, check)
-        shaded.density = blocks.grid(shaded.density)
+        rows: Any = shaded
+        density = blocks.grid(rows.density)
+        shaded.density = density
         if shaded.extinction is not None:
-            shaded.extinction = tuple(shaded.density.with_rows(channel) for channel in shaded.extinction)
+            shaded.extinction = tuple(density.with_rows(channel) for channel in rows.extinction)
         if isinstance(shaded.albedo, tuple):
             shaded.albedo = tuple(shaded.density.with_rows(channel) for channel in shaded.albedo)
         for name in ("emission", "blackbody"):
@@ -161,7 +185,7 @@ class FileSource(VolumeSource):
                 setattr(shaded, name, channels)
         return shaded
 
-    def _aligned(self, started):
+    def _aligned(self, started: Callable[[subprocess.Popen], None]) -> tuple:
         """Grids by name; the offset of each in their common box; the box's shape and its index to object space; the
         file's index of its first voxel; and warnings.
 
@@ -198,7 +222,7 @@ class FileSource(VolumeSource):
         return grids, offsets, high - low, object_from_index, reference.low + low, warnings
 
 
-def _placed(values, offset, shape):
+def _placed(values: np.ndarray | SparseGrid, offset: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """A grid as an array of its box's shape."""
     values = values.dense() if isinstance(values, SparseGrid) else values
     if tuple(shape) == values.shape:

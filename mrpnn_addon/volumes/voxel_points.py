@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Grids and positions that volume shaders read at voxels."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,16 +23,17 @@ class Probe:
     positions.
     """
 
-    def __init__(self, available, fills_its_bounds: bool, vectors=()):
+    def __init__(self, available: Sequence[str], fills_its_bounds: bool, vectors: tuple[str, ...] = ()) -> None:
         """available: names of grids. vectors: names of those of them that hold vectors."""
         self.available, self.fills_its_bounds, self.vectors = available, fills_its_bounds, vectors
-        self.names, self.placed = [], False
+        self.names: list[str] = []
+        self.placed = False
 
     def has(self, name: str) -> bool:
         """Whether a grid of this name exists."""
         return name in self.available
 
-    def attribute(self, name: str, node) -> np.ndarray:
+    def attribute(self, name: str, node: Any) -> np.ndarray:
         """(n, 1) values of a grid, (n, 3) of one of vectors. Raises Unsupported where a mesh has none."""
         if self.fills_its_bounds and not self.has(name):
             raise Unsupported(
@@ -41,15 +43,15 @@ class Probe:
         self.names += [part for part in parts if part not in self.names]
         return np.concatenate([self._read(part) for part in parts], axis=1)
 
-    def coordinates(self, kind: str, node) -> np.ndarray:
+    def coordinates(self, kind: str, node: Any) -> np.ndarray:
         """(n, 3) positions; `kind` is "world", "object" or "generated"."""
         self.placed = True
         return self._place(kind, node)
 
-    def _read(self, name):
+    def _read(self, name: str) -> np.ndarray:
         return np.zeros((1, 1))
 
-    def _place(self, kind, node):
+    def _place(self, kind: str, node: Any) -> np.ndarray:
         return np.zeros((1, 3))
 
 
@@ -86,14 +88,14 @@ class VoxelDomain:
 class VoxelPoints(Probe):
     """Some voxels of a domain: int64 (n,) positions in its flattened arrays."""
 
-    def __init__(self, domain: VoxelDomain, voxels: np.ndarray):
+    def __init__(self, domain: VoxelDomain, voxels: np.ndarray) -> None:
         available = (*domain.grids, *domain.vectors)
         super().__init__(available, fills_its_bounds=domain.inside is not None, vectors=domain.vectors)
         self.grids, self.domain, self.voxels = domain.grids, domain, voxels
 
-    def _read(self, name):
+    def _read(self, name: str) -> np.ndarray:
         return self.grids[name].reshape(-1)[self.voxels].astype(np.float64)[:, None]
 
-    def _place(self, kind, node):
+    def _place(self, kind: str, node: Any) -> np.ndarray:
         frame = self.domain.frames[kind]
         return self.domain.index(self.voxels) @ frame[:3, :3].T + frame[:3, 3]
