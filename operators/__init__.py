@@ -16,7 +16,7 @@ MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene,
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *bake.classes, *documentation.classes)
 
 
-def register():
+def register() -> None:
     for module in MODULES:
         module.register()
     for operator in CLASSES:
@@ -24,7 +24,7 @@ def register():
     command.register()
 
 
-def unregister():
+def unregister() -> None:
     command.unregister()
     for operator in reversed(CLASSES):
         bpy.utils.unregister_class(operator)

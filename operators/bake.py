@@ -3,17 +3,19 @@
 
 import os
 from dataclasses import replace
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..inference.scene import SceneError
+from ..inference.scene import SceneError, Settings
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
-from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, remove_light, show_light
+from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, light_state, remove_light, show_light
 from ..mrpnn_addon.baking.fast_settings import set_fast
+from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame, require_light
-from ..mrpnn_addon.settings.properties import RELATIVE_PATH
+from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
 from .waiting import SceneLoading
 
@@ -46,11 +48,11 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         name="Bake All", default=False, options={"SKIP_SAVE"}, description="Also volumes that have not changed"
     )
 
-    _job = None
+    _job: Worker | None = None
     _loading = None
     _timer = None
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         """Bake while Blender waits."""
         try:
             description = read_frame(context.evaluated_depsgraph_get())
@@ -60,7 +62,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
             return self._fail(error)
         return self._deliver(context, description, baked)
 
-    def invoke(self, context, event):
+    def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         """Bake on a worker thread; Blender stays usable."""
         if bpy.app.background:
             return self.execute(context)
@@ -77,7 +79,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def _next(self, context):
+    def _next(self, context: "bpy.types.Context") -> Worker:
         """The next worker: one that reads the scene's volumes, then one that bakes. Neither needs bpy."""
         if self._loading is None or self._loading.outdated(context):
             self._loading = SceneLoading(context)
@@ -88,8 +90,8 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         self._loading = None
         return BakeJob(self._description, self._settings(context), self._target(context.scene))
 
-    def modal(self, context, event):
-        job = MRPNN_OT_bake_light._job
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
+        job: Any = MRPNN_OT_bake_light._job
         if event.type == "ESC":
             job.stop()
             return {"RUNNING_MODAL"}
@@ -117,30 +119,30 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
             raise job.error
         return self._deliver(context, self._description, job.result)
 
-    def cancel(self, context):
+    def cancel(self, context: "bpy.types.Context") -> None:
         """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
         job = MRPNN_OT_bake_light._job
         job.stop()
         job.wait()
         self._end(context)
 
-    def _end(self, context):
+    def _end(self, context: "bpy.types.Context") -> None:
         MRPNN_OT_bake_light._job = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
         status_bar(context, None)
 
-    def _settings(self, context):
-        return replace(context.scene.mrpnn.settings(), directional=self.directional)
+    def _settings(self, context: "bpy.types.Context") -> Settings:
+        return replace(scene_settings(context.scene).settings(), directional=self.directional)
 
-    def _target(self, scene) -> BakeTarget:
+    def _target(self, scene: "bpy.types.Scene") -> BakeTarget:
         return BakeTarget(light_folder(self.folder), {} if self.everything else baked_keys(scene))
 
-    def _fail(self, error):
+    def _fail(self, error: Exception) -> set[str]:
         report(self, "ERROR", error)
         return {"CANCELLED"}
 
-    def _deliver(self, context, description: SceneDescription, baked):
+    def _deliver(self, context: "bpy.types.Context", description: SceneDescription, baked: Any) -> set[str]:
         show_light(context.scene, baked)
         for warning in baked.warnings + bake_warnings(description):
             report(self, "WARNING", warning)
@@ -173,10 +175,10 @@ class MRPNN_OT_bake_light_remove(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
-        return context.scene.mrpnn_light.active
+    def poll(cls, context: "bpy.types.Context") -> bool:
+        return light_state(context.scene).active
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         remove_light(context.scene)
         return {"FINISHED"}
 
@@ -191,15 +193,15 @@ class MRPNN_OT_bake_light_fast(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
-        return context.scene.mrpnn_light.active and context.scene.render.engine == "CYCLES"
+    def poll(cls, context: "bpy.types.Context") -> bool:
+        return light_state(context.scene).active and context.scene.render.engine == "CYCLES"
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         report(self, "INFO", make_fast(context.evaluated_depsgraph_get()))
         return {"FINISHED"}
 
 
-def make_fast(depsgraph) -> str:
+def make_fast(depsgraph: "bpy.types.Depsgraph") -> str:
     """Set what shows a scene's baked light fast in Cycles; gives a sentence about it."""
     return set_fast(bpy.context.scene, recommend(depsgraph).way == LAYER)
 

@@ -14,20 +14,20 @@ class MRPNN_OT_check(WaitsForVolumes, bpy.types.Operator):
     bl_idname = "mrpnn.check"
     bl_label = "Check Scene"
 
-    def invoke(self, context, event):
+    def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         if not bpy.app.background and self.wait_for_volumes(context):
             return {"RUNNING_MODAL"}
         return self.execute(context)
 
-    def modal(self, context, event):
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         waiting = self.still_waiting(context, event)
         return self.execute(context) if waiting is None else waiting
 
-    def cancel(self, context):
+    def cancel(self, context: "bpy.types.Context") -> None:
         """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
         self.stop_waiting(context)
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         check = check_scene(context.evaluated_depsgraph_get(), self.reader)
         if check.error:
             report(self, "ERROR", check.error)

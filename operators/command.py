@@ -8,6 +8,8 @@ blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render -
 import argparse
 import os
 import time
+from collections.abc import Sequence
+from typing import NoReturn
 
 import bpy
 
@@ -34,7 +36,7 @@ class _UsageError(Exception):
 class _Parser(argparse.ArgumentParser):
     """Raises instead of ending the process, which is Blender's."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         raise _UsageError(f"{message} (see {self.prog} --help)")
 
 
@@ -178,7 +180,7 @@ def _positive(text: str) -> int:
     return number
 
 
-def main(arguments) -> int:
+def main(arguments: Sequence[str]) -> int:
     """Run the command with its arguments, e.g. ["render", "--output", "cloud.exr"].
 
     Returns the exit status: 0 on success, 1 after one line with the error.
@@ -217,7 +219,7 @@ def main(arguments) -> int:
     return int(error is not None)
 
 
-def register():
+def register() -> None:
     # The bpy module has no command line, and crashes at its end while a command is registered. (bpy.app.module would
     # tell, but Blender 4.2 and 4.3 lack it.)
     if bpy.app.binary_path:
@@ -225,7 +227,7 @@ def register():
         _handle = bpy.utils.register_cli_command(COMMAND, main)
 
 
-def unregister():
+def unregister() -> None:
     if bpy.app.binary_path:
         bpy.utils.unregister_cli_command(_handle)
 

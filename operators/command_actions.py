@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The actions of the command line: render frames, bake their light, compare one with Cycles, report on a scene."""
 
+import argparse
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import bpy
 
@@ -18,6 +20,7 @@ from ..mrpnn_addon.objects.views import view_path, view_paths
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.scene.reader import SceneDescription
+from ..mrpnn_addon.settings.properties import scene_settings
 from .bake import bake_warnings, light_folder, make_fast
 from .command_frames import each_frame, frame_reader, require_none
 from .console import Console
@@ -25,7 +28,7 @@ from .console import Console
 ENDINGS = (".exr", ".png")
 
 
-def render(options, console, found: dict) -> None:
+def render(options: argparse.Namespace, console: Console, found: dict) -> None:
     """Render each frame to its file. `found` collects the output of --json, frame by frame."""
     scene = bpy.context.scene
     if os.path.splitext(options.output)[1].lower() not in ENDINGS:
@@ -82,7 +85,7 @@ def _render_frame(
     return {**facts, "report": finished.layer.report.to_dict()}
 
 
-def bake(options, console, found: dict) -> None:
+def bake(options: argparse.Namespace, console: Console, found: dict) -> None:
     """Bake the light of each frame, and write a .blend file that shows it."""
     scene = bpy.context.scene
     if options.save and not options.save.lower().endswith(".blend"):
@@ -123,7 +126,7 @@ def bake(options, console, found: dict) -> None:
     require_none(failed, frames)
 
 
-def compare(options, console, found: dict) -> None:
+def compare(options: argparse.Namespace, console: Console, found: dict) -> None:
     """Compare one frame with Cycles and write the report."""
     scene = bpy.context.scene
     if options.frame is not None:
@@ -154,7 +157,7 @@ def compare(options, console, found: dict) -> None:
     console.event("comparison", f"{comparison.table()}\nreport: {page}", report=str(page), **found["comparison"])
 
 
-def report(options, console, found: dict) -> None:
+def report(options: argparse.Namespace, console: Console, found: dict) -> None:
     """Describe what a frame's render would do, without rendering."""
     scene = bpy.context.scene
     if options.frame is not None:
@@ -188,10 +191,10 @@ def report(options, console, found: dict) -> None:
 
 
 @contextmanager
-def _overridden(options):
+def _overridden(options: argparse.Namespace) -> Iterator[Settings]:
     """The scene's settings with those of the command line; the scene is restored afterwards."""
     scene = bpy.context.scene
-    settings = scene.mrpnn.settings()
+    settings = scene_settings(scene).settings()
     names = ("depth_samples", "seed", "threads", "model", "provider", "leave_out")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if options.memory_limit is not None:
@@ -208,15 +211,15 @@ def _overridden(options):
         scene.render.resolution_percentage, scene.camera = before
 
 
-def _camera(name: str):
-    camera = bpy.context.scene.objects.get(name)
+def _camera(name: str) -> "bpy.types.Object":
+    camera: Any = bpy.context.scene.objects.get(name)
     if camera is None or camera.type != "CAMERA":
         cameras = [other.name for other in bpy.context.scene.objects if other.type == "CAMERA"]
         raise SceneError(f"there is no camera {name!r} in the scene; there are: {', '.join(cameras) or 'none'}")
     return camera
 
 
-def _view_layer(scene, name):
+def _view_layer(scene: "bpy.types.Scene", name: str | None) -> "bpy.types.ViewLayer":
     if name is None:
         return bpy.context.view_layer
     if name not in scene.view_layers:

@@ -2,6 +2,9 @@
 """Operator `mrpnn.compare`: error against run time of the layer and of Cycles, for the scene's view."""
 
 import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -9,11 +12,12 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 
 from ..inference.scene import SceneError
 from ..mrpnn_addon.comparison.pictures import view_png
+from ..mrpnn_addon.comparison.results import Comparison
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER, ComparisonRun, Options
 from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_image
 from ..mrpnn_addon.runtime.background import in_background
 from ..mrpnn_addon.runtime.text import report, status_bar
-from ..mrpnn_addon.settings.properties import RELATIVE_PATH
+from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.last_comparison import remember
 from .waiting import WaitsForVolumes
 
@@ -98,20 +102,20 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
     _run = None
     _timer = None
     # The generator `_finish`, once the run is done.
-    _steps = None
+    _steps: Iterator[tuple[Comparison, Path] | None] | None = None
     # Whether it runs modally, as after the dialog; scripts block.
     _modal = False
 
-    def invoke(self, context, event):
+    def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         if bpy.app.background:
             return self.execute(context)
         self._modal = True
         # Blender prepares its view transform for the first picture, which takes up to 0.3 s: do it before anything
         # runs.
         view_png(np.zeros((1, 1, 4)), context.scene)
-        return context.window_manager.invoke_props_dialog(self)
+        return set(context.window_manager.invoke_props_dialog(self))
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout = self.layout
         layout.use_property_split = True
         for name in ("samples", "budget", "scale"):
@@ -122,7 +126,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             for name in ("ladder", "denoised", "usual", "models", "bounces", "reference_path", "folder"):
                 body.prop(self, name)
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         if MRPNN_OT_compare._run is not None:
             report(self, "WARNING", "a comparison is running already; Esc stops it")
             return {"CANCELLED"}
@@ -130,9 +134,9 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             return {"RUNNING_MODAL"}
         return self._start(context)
 
-    def _start(self, context):
+    def _start(self, context: "bpy.types.Context") -> set[str]:
         try:
-            run = ComparisonRun(context, context.scene.mrpnn.settings(), self._options(), self.reader)
+            run = ComparisonRun(context, scene_settings(context.scene).settings(), self._options(), self.reader)
         except (SceneError, OSError) as error:
             return self._fail(error)
         if not self._modal:
@@ -147,7 +151,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def modal(self, context, event):
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         if MRPNN_OT_compare._run is None:
             waiting = self.still_waiting(context, event)
             return self._start(context) if waiting is None else waiting
@@ -173,7 +177,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         status_bar(context, "Comparing: figures and report")
         return {"RUNNING_MODAL"}
 
-    def _step(self, context):
+    def _step(self, context: "bpy.types.Context") -> set[str]:
         """One step of the report; Blender handles events between steps."""
         try:
             done = next(self._steps)
@@ -185,7 +189,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         self.cancel(context)
         return self._deliver([done])
 
-    def cancel(self, context):
+    def cancel(self, context: "bpy.types.Context") -> None:
         """Also called by Blender where it ends the operator itself, as when it closes or loads a file."""
         self.stop_waiting(context)
         if MRPNN_OT_compare._run is None:
@@ -210,18 +214,18 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             folder=self.folder,
         )
 
-    def _fail(self, error):
+    def _fail(self, error: Exception | str) -> set[str]:
         report(self, "ERROR", error)
         return {"CANCELLED"}
 
-    def _failed(self, problem):
+    def _failed(self, problem: BaseException) -> set[str]:
         if isinstance(problem, ReferenceError):
             return self._fail("the compared scene was removed; the images of Cycles are kept")
         if isinstance(problem, (SceneError, OSError)):
             return self._fail(problem)
         raise problem
 
-    def _deliver(self, steps):
+    def _deliver(self, steps: Any) -> set[str]:
         """Run the steps of `_finish` to the end, and report."""
         try:
             *_, (comparison, page) = steps
@@ -237,7 +241,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _finish(run: ComparisonRun):
+def _finish(run: ComparisonRun) -> Iterator[tuple[Comparison, Path] | None]:
     """Figures, report and images of a finished run, in short steps: yields None, and (comparison, page) last."""
     figures = in_background(run.result)
     while not figures.done():

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that composite the volumes by MRPNN over the rest of the scene by Cycles."""
 
+from typing import Any
+
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..mrpnn_addon.nodes.material import shows_volume
 from ..mrpnn_addon.objects.animation import with_instanced
-from ..mrpnn_addon.output.composite import composite, remove_composite
+from ..mrpnn_addon.output.composite import composite, composite_state, remove_composite
 from ..mrpnn_addon.runtime.text import report
 
 
@@ -25,12 +27,12 @@ class MRPNN_OT_composite(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return hasattr(context.scene, "cycles")
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         scene = context.scene
-        surfaces = scene.mrpnn_composite.surfaces
+        surfaces = composite_state(scene).surfaces
         if surfaces is not None:
             report(self, "ERROR", f'this scene renders the volumes of scene "{surfaces.name}"; composite there')
             return {"CANCELLED"}
@@ -42,7 +44,7 @@ class MRPNN_OT_composite(bpy.types.Operator):
         except ValueError as error:
             report(self, "ERROR", error)
             return {"CANCELLED"}
-        volumes = scene.mrpnn_composite.volumes
+        volumes = composite_state(scene).volumes
         report(self, "INFO", f'F12 renders the volumes of scene "{volumes.name}" over this one')
         return {"FINISHED"}
 
@@ -55,10 +57,10 @@ class MRPNN_OT_composite_remove(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return _composited(context.scene) is not None
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         scene = _composited(context.scene)
         if context.window is not None:
             context.window.scene = scene
@@ -76,11 +78,11 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
     scene: StringProperty(name="Scene")
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return context.window is not None
 
-    def execute(self, context):
-        found = bpy.data.scenes.get(self.scene)
+    def execute(self, context: "bpy.types.Context") -> set[str]:
+        found: Any = bpy.data.scenes.get(self.scene)
         if found is None:
             report(self, "ERROR", f'there is no scene "{self.scene}"')
             return {"CANCELLED"}
@@ -88,9 +90,9 @@ class MRPNN_OT_show_scene(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _composited(scene):
+def _composited(scene: "bpy.types.Scene") -> "bpy.types.Scene | None":
     """The composited scene: this one, or the one whose volumes it renders; else None."""
-    return scene if scene.mrpnn_composite.active else scene.mrpnn_composite.surfaces
+    return scene if composite_state(scene).active else composite_state(scene).surfaces
 
 
 classes = (MRPNN_OT_composite, MRPNN_OT_composite_remove, MRPNN_OT_show_scene)

@@ -3,6 +3,8 @@
 
 import json
 import sys
+from collections.abc import Callable
+from typing import Any
 
 from ..mrpnn_addon.runtime.text import safe_text
 
@@ -14,11 +16,11 @@ class Console:
     "report", "comparison", "error" or "end".
     """
 
-    def __init__(self, machine: bool):
+    def __init__(self, machine: bool) -> None:
         self.machine = machine
         self._tenth = -1
 
-    def event(self, kind: str, text: str, **facts) -> None:
+    def event(self, kind: str, text: str, **facts: Any) -> None:
         """Write `text`, or all `facts` as JSON."""
         if self.machine:
             # One complete line: Blender prints to the same stream.
@@ -28,11 +30,11 @@ class Console:
             line = safe_text(f"mrpnn: {f'{kind}: ' if loud else ''}{text}")
             print(line, file=sys.stderr if loud else sys.stdout, flush=True)
 
-    def progress(self, frame: int):
+    def progress(self, frame: int) -> Callable[[float, str], None]:
         """A progress(fraction, message) for one frame that writes at each tenth."""
         self._tenth = -1
 
-        def write(fraction, message):
+        def write(fraction: float, message: str) -> None:
             if int(fraction * 10) > self._tenth:
                 self._tenth = int(fraction * 10)
                 self.event(

@@ -15,7 +15,7 @@ class MRPNN_OT_documentation(bpy.types.Operator):
     bl_idname = "mrpnn.documentation"
     bl_label = "Documentation"
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         bpy.ops.wm.path_open(filepath=str(PAGES))
         return {"FINISHED"}
 

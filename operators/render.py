@@ -4,16 +4,18 @@
 import functools
 import os
 import time
+from typing import Any
 
 import bpy
 from bpy.props import StringProperty
 
 from ..inference.scene import SceneError
-from ..mrpnn_addon.engine.render_job import RenderJob, render_scene
+from ..mrpnn_addon.engine.render_job import Finished, RenderJob, render_scene
 from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_in_image
+from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.reader import read_frame
-from ..mrpnn_addon.settings.properties import RELATIVE_PATH
+from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
 from .waiting import SceneLoading
 
@@ -33,18 +35,18 @@ class MRPNN_OT_render(bpy.types.Operator):
         description="Multi-layer OpenEXR file to write; without it, the scene's setting applies",
     )
 
-    _job = None
+    _job: Worker | None = None
     _loading = None
     _timer = None
     _started = 0.0
 
-    def execute(self, context):
+    def execute(self, context: "bpy.types.Context") -> set[str]:
         """Render while Blender waits."""
         started = time.perf_counter()
         try:
             finished = render_scene(
                 read_frame(context.evaluated_depsgraph_get()),
-                context.scene.mrpnn.settings(),
+                scene_settings(context.scene).settings(),
                 self._exr_path(context.scene),
                 started=started,
             )
@@ -52,7 +54,7 @@ class MRPNN_OT_render(bpy.types.Operator):
             return self._fail(error)
         return self._deliver(context, finished)
 
-    def invoke(self, context, event):
+    def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         """Render on a worker thread; Blender stays usable."""
         if bpy.app.background:
             return self.execute(context)
@@ -70,7 +72,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def _next(self, context):
+    def _next(self, context: "bpy.types.Context") -> Worker:
         """The next worker: one that reads the scene's volumes, then one that renders. Neither needs bpy."""
         exr_path = self._exr_path(context.scene)
         if self._loading is None or self._loading.outdated(context):
@@ -80,10 +82,10 @@ class MRPNN_OT_render(bpy.types.Operator):
         # The scene may change from here on.
         found = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
         self._loading = None
-        return RenderJob(found, context.scene.mrpnn.settings(), exr_path, self._started)
+        return RenderJob(found, scene_settings(context.scene).settings(), exr_path, self._started)
 
-    def modal(self, context, event):
-        job = MRPNN_OT_render._job
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
+        job: Any = MRPNN_OT_render._job
         if event.type == "ESC":
             job.stop()
             return {"RUNNING_MODAL"}
@@ -111,21 +113,21 @@ class MRPNN_OT_render(bpy.types.Operator):
             raise job.error
         return self._deliver(context, job.result)
 
-    def cancel(self, context):
+    def cancel(self, context: "bpy.types.Context") -> None:
         """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
         job = MRPNN_OT_render._job
         job.stop()
         job.wait()
         self._end(context)
 
-    def _end(self, context):
+    def _end(self, context: "bpy.types.Context") -> None:
         MRPNN_OT_render._job = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
         status_bar(context, None)
 
-    def _exr_path(self, scene):
-        path = self.filepath or (scene.mrpnn.exr_path if scene.mrpnn.use_exr else "")
+    def _exr_path(self, scene: "bpy.types.Scene") -> str | None:
+        path = self.filepath or (scene_settings(scene).exr_path if scene_settings(scene).use_exr else "")
         if not path:
             return None
         path = bpy.path.abspath(path)
@@ -141,12 +143,12 @@ class MRPNN_OT_render(bpy.types.Operator):
             raise SceneError(f"the folder of the EXR file does not exist: {os.path.dirname(path)}")
         return path
 
-    def _fail(self, error):
+    def _fail(self, error: Exception) -> set[str]:
         remember(LastRender(error=str(error)))
         report(self, "ERROR", error)
         return {"CANCELLED"}
 
-    def _deliver(self, context, finished):
+    def _deliver(self, context: "bpy.types.Context", finished: Finished) -> set[str]:
         # From the last to the first view, which is displayed.
         for view, layer in reversed(finished.layers):
             image = show_in_image(layer, IMAGE_NAME + view.suffix)
@@ -165,9 +167,10 @@ class MRPNN_OT_render(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _display(name):
+def _display(name: str) -> None:
     """Show the image in an open Image Editor, or open a window with one."""
-    image, windows = bpy.data.images.get(name), bpy.context.window_manager.windows
+    image: Any = bpy.data.images.get(name)
+    windows = bpy.context.window_manager.windows
     if image is None or not windows:
         return
     if not _image_editors():
@@ -178,7 +181,7 @@ def _display(name):
         editor.image = image
 
 
-def _image_editors():
+def _image_editors() -> list[Any]:
     return [
         area.spaces.active
         for window in bpy.context.window_manager.windows

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that wait for a thread to read the scene's volumes; Blender stays usable meanwhile."""
 
+from typing import Any
+
+import bpy
+
 from ..mrpnn_addon.runtime.text import report, status_bar
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.volumes.loading import VolumeLoading
@@ -15,13 +19,13 @@ class SceneLoading:
     worker: the VolumeLoading, or None where nothing needs reading. reader: has the volumes in the end.
     """
 
-    def __init__(self, context):
+    def __init__(self, context: "bpy.types.Context") -> None:
         depsgraph = context.evaluated_depsgraph_get()
         self.reader = VolumeReader()
         sources, self._state = self.reader.wanted(depsgraph), scene_state(context.scene)
         self.worker = VolumeLoading(self.reader, sources) if sources else None
 
-    def outdated(self, context) -> bool:
+    def outdated(self, context: "bpy.types.Context") -> bool:
         """Whether the scene has changed since."""
         context.evaluated_depsgraph_get()
         return self._state != scene_state(context.scene)
@@ -30,11 +34,11 @@ class SceneLoading:
 class WaitsForVolumes:
     """Mixin of an operator with a window. reader: a VolumeReader with the scene's volumes, or None."""
 
-    reader = None
-    _loading = None
-    _reading_timer = None
+    reader: VolumeReader | None = None
+    _loading: "SceneLoading | None" = None
+    _reading_timer: Any = None
 
-    def wait_for_volumes(self, context) -> bool:
+    def wait_for_volumes(self, context: "bpy.types.Context") -> bool:
         """Start to read the scene's volumes; returns whether `modal` has to wait."""
         loading = SceneLoading(context)
         if loading.worker is None:
@@ -42,10 +46,11 @@ class WaitsForVolumes:
         self._loading = loading
         self._reading_timer = context.window_manager.event_timer_add(TICK_INTERVAL, window=context.window)
         self._show_status(context)
-        context.window_manager.modal_handler_add(self)
+        operator: Any = self
+        context.window_manager.modal_handler_add(operator)
         return True
 
-    def still_waiting(self, context, event):
+    def still_waiting(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str] | None:
         """The result of `modal` while reading or after an error; None once everything is read."""
         worker = self._loading.worker
         if event.type == "ESC" and worker is not None:
@@ -65,11 +70,11 @@ class WaitsForVolumes:
         report(self, "INFO" if worker.cancelled else "ERROR", "stopped" if worker.cancelled else str(error))
         return {"CANCELLED"}
 
-    def _show_status(self, context):
+    def _show_status(self, context: "bpy.types.Context") -> None:
         if self._loading.worker is not None:
             status_bar(context, f"{self._loading.worker.message.capitalize()}  (Esc stops)")
 
-    def stop_waiting(self, context) -> None:
+    def stop_waiting(self, context: "bpy.types.Context") -> None:
         """Stop reading and remove the timer."""
         if self._reading_timer is None:
             return

@@ -30,11 +30,11 @@ CLASSES = (
 )
 
 
-def register():
+def register() -> None:
     for panel in CLASSES:
         bpy.utils.register_class(panel)
 
 
-def unregister():
+def unregister() -> None:
     for panel in reversed(CLASSES):
         bpy.utils.unregister_class(panel)

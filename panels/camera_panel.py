@@ -14,7 +14,7 @@ class MRPNN_PT_panorama(EnginePanel, bpy.types.Panel):
     bl_parent_id = "DATA_PT_lens"
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return (
             super().poll(context)
             and context.camera is not None
@@ -22,7 +22,7 @@ class MRPNN_PT_panorama(EnginePanel, bpy.types.Panel):
             and panorama_settings(context.camera) is not None
         )
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout, settings = self.layout, panorama_settings(context.camera)
         layout.use_property_split = True
         layout.prop(settings, "panorama_type", text="Type")

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Composited scenes and the scenes of their volumes, in the render properties."""
 
+from typing import Any
+
 import bpy
 
-from ..mrpnn_addon.output.composite import out_of_date, volume_scene
+from ..mrpnn_addon.output.composite import composite_state, out_of_date, volume_scene
 from ..operators.composite import MRPNN_OT_composite, MRPNN_OT_composite_remove, MRPNN_OT_show_scene
 from .text import draw_text
 
@@ -16,12 +18,12 @@ class MRPNN_PT_composite(bpy.types.Panel):
     bl_context = "render"
 
     @classmethod
-    def poll(cls, context):
-        composite = context.scene.mrpnn_composite
+    def poll(cls, context: "bpy.types.Context") -> bool:
+        composite = composite_state(context.scene)
         return composite.active or composite.surfaces is not None
 
-    def draw(self, context):
-        layout, composite = self.layout, context.scene.mrpnn_composite
+    def draw(self, context: "bpy.types.Context") -> None:
+        layout, composite = self.layout, composite_state(context.scene)
         if composite.active:
             _draw_composited(context, layout, composite)
         else:
@@ -36,7 +38,7 @@ class MRPNN_PT_composite(bpy.types.Panel):
         layout.operator(MRPNN_OT_composite_remove.bl_idname, icon="X")
 
 
-def _draw_composited(context, layout, composite):
+def _draw_composited(context: "bpy.types.Context", layout: "bpy.types.UILayout", composite: Any) -> None:
     scene, volumes = context.scene, volume_scene(context.scene)
     problems = out_of_date(scene)
     if problems:
@@ -57,7 +59,7 @@ def _draw_composited(context, layout, composite):
         _show(layout, volumes)
 
 
-def _show(layout, scene):
+def _show(layout: "bpy.types.UILayout", scene: "bpy.types.Scene") -> None:
     layout.operator(MRPNN_OT_show_scene.bl_idname, text=f'Go to "{scene.name}"', icon="SCENE_DATA").scene = scene.name
 
 

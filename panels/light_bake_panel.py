@@ -3,8 +3,9 @@
 
 import bpy
 
+from ..mrpnn_addon.baking.baked_scene import light_state
 from ..mrpnn_addon.scene.changes import scene_state
-from ..mrpnn_addon.status.recommendation import COMPOSITE, recommend
+from ..mrpnn_addon.status.recommendation import COMPOSITE, Recommendation, recommend
 from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove
 from ..operators.composite import MRPNN_OT_composite
 from .text import draw_text
@@ -19,9 +20,9 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
     bl_region_type = "WINDOW"
     bl_context = "render"
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout, scene = self.layout, context.scene
-        state = scene.mrpnn_light
+        state = light_state(scene)
         if not state.active:
             way = _recommendation(context)
             draw_text(context, layout, way.reason, "INFO")
@@ -44,7 +45,7 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
         layout.operator(MRPNN_OT_bake_light_remove.bl_idname, icon="X")
 
 
-def _recommendation(context):
+def _recommendation(context: "bpy.types.Context") -> Recommendation:
     key = context.view_layer.name, *scene_state(context.scene)
     if _recommended.get("key") != key:
         value = recommend(context.evaluated_depsgraph_get())

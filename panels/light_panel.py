@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of lights."""
 
+from typing import Any
+
 import bpy
 
 from .engine_panel import EnginePanel, draw_shader
@@ -10,15 +12,16 @@ class _LightPanel(EnginePanel):
     bl_context = "data"
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return super().poll(context) and context.light is not None
 
 
 class MRPNN_PT_light(_LightPanel, bpy.types.Panel):
     bl_label = "Light"
 
-    def draw(self, context):
-        layout, light = self.layout, context.light
+    def draw(self, context: "bpy.types.Context") -> None:
+        layout = self.layout
+        light: Any = context.light
         layout.row().prop(light, "type", expand=True)
         layout.use_property_split = True
         column = layout.column()
@@ -56,11 +59,12 @@ class MRPNN_PT_beam_shape(_LightPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_light"
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return super().poll(context) and context.light.type in {"SPOT", "AREA"}
 
-    def draw(self, context):
-        layout, light = self.layout, context.light
+    def draw(self, context: "bpy.types.Context") -> None:
+        layout = self.layout
+        light: Any = context.light
         layout.use_property_split = True
         if light.type == "AREA":
             layout.prop(light, "spread")
@@ -74,7 +78,7 @@ class MRPNN_PT_light_nodes(_LightPanel, bpy.types.Panel):
     bl_label = "Nodes"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         draw_shader(self.layout, context.light, "Surface")
 
 

@@ -15,10 +15,10 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
     bl_context = "object"
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return super().poll(context) and context.object is not None and shows_volume(context.object)
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout, shown, check = self.layout, context.object, last_check()
         if check is None:
             draw_text(context, layout, "Check Scene in the render properties reads its voxels", "INFO")

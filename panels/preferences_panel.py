@@ -18,7 +18,7 @@ from .text import draw_text
 class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
     bl_idname = EXTENSION
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout = self.layout
         column = layout.column()
         column.use_property_split = True

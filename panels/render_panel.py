@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panels in the render properties, for every engine."""
 
+from typing import Any
+
 import bpy
 
 from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
+from ..mrpnn_addon.output.composite import composite_state
 from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.scene.changes import scene_state
-from ..mrpnn_addon.scene.unrendered import composited, unrendered
+from ..mrpnn_addon.scene.unrendered import Unrendered, composited, unrendered
 from ..mrpnn_addon.settings.preferences import machine
-from ..mrpnn_addon.status.forecast import forecast
+from ..mrpnn_addon.settings.properties import scene_settings
+from ..mrpnn_addon.status.forecast import Forecast, forecast
 from ..mrpnn_addon.status.last_comparison import last_comparison
-from ..mrpnn_addon.status.last_render import last_render
+from ..mrpnn_addon.status.last_render import LastRender, last_render
 from ..mrpnn_addon.status.scene_check import last_check
 from ..operators.check import MRPNN_OT_check
 from ..operators.compare import MRPNN_OT_compare
@@ -24,12 +28,12 @@ TIMES = {"seconds": "Time", "cpu_seconds": "Processor"}
 
 
 class _RenderPanel:
-    bl_space_type = "PROPERTIES"
-    bl_region_type = "WINDOW"
+    bl_space_type: Any = "PROPERTIES"
+    bl_region_type: Any = "WINDOW"
     bl_context = "render"
 
 
-def _split(layout):
+def _split(layout: "bpy.types.UILayout") -> "bpy.types.UILayout":
     column = layout.column()
     column.use_property_split = True
     column.use_property_decorate = False
@@ -39,8 +43,8 @@ def _split(layout):
 class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
     bl_label = "MRPNN Volumes"
 
-    def draw(self, context):
-        layout, settings = self.layout, context.scene.mrpnn
+    def draw(self, context: "bpy.types.Context") -> None:
+        layout, settings = self.layout, scene_settings(context.scene)
         layout.operator(MRPNN_OT_render.bl_idname, icon="RENDER_STILL")
         layout.row().prop(settings, "preset", expand=True)
         _split(layout).prop(settings, "model")
@@ -51,7 +55,7 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         _draw_last(context, layout, last_render())
 
 
-def _draw_last(context, layout, last):
+def _draw_last(context: "bpy.types.Context", layout: "bpy.types.UILayout", last: LastRender) -> None:
     """Time and warnings of the last render, or its error, without what Before Rendering shows."""
     if last is None:
         return
@@ -72,7 +76,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
     bl_label = "Before Rendering"
     bl_parent_id = "MRPNN_PT_render"
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout, scene = self.layout, context.scene
         expected, missing = _expected(context)
         if expected.problem:
@@ -124,11 +128,11 @@ class MRPNN_PT_plan(_RenderPanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         check = last_check()
         return check is not None and not check.error
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         check, column = last_check(), self.layout.column()
         column.active = not check.outdated(context.scene)
         draw_text(context, column, f"{check.memory / 2**30:.1f} GiB of memory", "MEMORY")
@@ -141,10 +145,10 @@ class MRPNN_PT_plan(_RenderPanel, bpy.types.Panel):
 
 
 # Cache of the last forecast and unrendered objects: panels are redrawn whenever the pointer moves.
-_forecasts = {}
+_forecasts: dict[str, Any] = {}
 
 
-def _expected(context):
+def _expected(context: "bpy.types.Context") -> tuple[Forecast, Unrendered]:
     key = (context.view_layer.name, last_render(), last_check(), *scene_state(context.scene))
     if _forecasts.get("key") != key:
         depsgraph = context.evaluated_depsgraph_get()
@@ -167,7 +171,7 @@ class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_render"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         column = _split(self.layout)
         if hasattr(context.scene, "cycles"):
             column.prop(context.scene.cycles, "film_exposure", text="Exposure")
@@ -182,8 +186,8 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_render"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw(self, context):
-        settings, preferred, column = context.scene.mrpnn, machine(), _split(self.layout)
+    def draw(self, context: "bpy.types.Context") -> None:
+        settings, preferred, column = scene_settings(context.scene), machine(), _split(self.layout)
         column.prop(settings, "threads")
         if not settings.threads:
             _draw_preferred(context, column, str(preferred.threads or "one per core"))
@@ -192,7 +196,7 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
             _draw_preferred(context, column, f"{preferred.memory_limit} GiB")
 
 
-def _draw_preferred(context, layout, value: str) -> None:
+def _draw_preferred(context: "bpy.types.Context", layout: "bpy.types.UILayout", value: str) -> None:
     """The value that 0 in the setting above stands for."""
     draw_text(context, layout, f"{value}, as in the preferences")
 
@@ -202,8 +206,8 @@ class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_performance"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw(self, context):
-        self.layout.column(align=True).prop(context.scene.mrpnn, "leave_out")
+    def draw(self, context: "bpy.types.Context") -> None:
+        self.layout.column(align=True).prop(scene_settings(context.scene), "leave_out")
 
 
 class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
@@ -211,13 +215,13 @@ class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_render"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw_header(self, context):
-        self.layout.prop(context.scene.mrpnn, "use_exr", text="")
+    def draw_header(self, context: "bpy.types.Context") -> None:
+        self.layout.prop(scene_settings(context.scene), "use_exr", text="")
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         column = _split(self.layout)
-        column.active = context.scene.mrpnn.use_exr
-        column.prop(context.scene.mrpnn, "exr_path", text="File")
+        column.active = scene_settings(context.scene).use_exr
+        column.prop(scene_settings(context.scene), "exr_path", text="File")
 
 
 class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
@@ -225,18 +229,18 @@ class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_render"
     bl_options = {"DEFAULT_CLOSED"}
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         column = self.layout.column()
         # Cycles' properties exist while Cycles is enabled.
         column.enabled = hasattr(context.scene, "cycles")
         column.operator(MRPNN_OT_compare.bl_idname)
         # An existing composite has its own panel below.
-        if not (context.scene.mrpnn_composite.active or context.scene.mrpnn_composite.surfaces):
+        if not (composite_state(context.scene).active or composite_state(context.scene).surfaces):
             column.operator(MRPNN_OT_composite.bl_idname)
         _draw_comparison(context, self.layout, last_comparison())
 
 
-def _draw_comparison(context, layout, last):
+def _draw_comparison(context: "bpy.types.Context", layout: "bpy.types.UILayout", last: Any) -> None:
     """The last comparison's table."""
     if last is None:
         return

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Wraps sentences in panels, whose labels do not wrap."""
 
+from collections.abc import Callable
+from typing import Any
+
 import blf
+import bpy
 
 from ..mrpnn_addon.runtime.text import label, safe_text
 
@@ -9,7 +13,7 @@ from ..mrpnn_addon.runtime.text import label, safe_text
 MARGIN = 72
 
 
-def draw_text(context, layout, text: str, icon: str = "NONE") -> None:
+def draw_text(context: "bpy.types.Context", layout: "bpy.types.UILayout", text: str, icon: Any = "NONE") -> None:
     """Draw a sentence as labels that fit the region's width, the icon before the first."""
     scale, points = context.preferences.system.ui_scale, context.preferences.ui_styles[0].widget.points
     blf.size(0, points * scale)
@@ -20,7 +24,7 @@ def draw_text(context, layout, text: str, icon: str = "NONE") -> None:
         label(column, line, icon=icon if index == 0 else "BLANK1")
 
 
-def wrapped(text: str, width: float, measure) -> list:
+def wrapped(text: str, width: float, measure: Callable[[str], float]) -> list:
     """The words of a text in lines that are no wider than `width` by `measure`; wider words are split."""
     lines = [""]
     for word in text.split():

@@ -3,6 +3,7 @@
 
 import bpy
 
+from ..mrpnn_addon.settings.view_layer import pass_settings
 from .engine_panel import EnginePanel
 
 
@@ -11,17 +12,17 @@ class MRPNN_PT_passes(EnginePanel, bpy.types.Panel):
     bl_context = "view_layer"
     bl_parent_id = "VIEWLAYER_PT_layer_passes"
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout, view_layer = self.layout, context.view_layer
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(heading="Include", align=True)
         column.prop(view_layer, "use_pass_z", text="Depth")
         column = layout.column(heading="Volume", align=True)
-        column.prop(view_layer.mrpnn, "use_pass_volume_direct", text="Direct")
-        column.prop(view_layer.mrpnn, "use_pass_volume_indirect", text="Indirect")
-        column.prop(view_layer.mrpnn, "use_pass_emission")
-        column.prop(view_layer.mrpnn, "use_pass_uncertainty")
+        column.prop(pass_settings(view_layer), "use_pass_volume_direct", text="Direct")
+        column.prop(pass_settings(view_layer), "use_pass_volume_indirect", text="Indirect")
+        column.prop(pass_settings(view_layer), "use_pass_emission")
+        column.prop(pass_settings(view_layer), "use_pass_uncertainty")
 
 
 classes = (MRPNN_PT_passes,)

@@ -13,17 +13,17 @@ class MRPNN_PT_visibility(EnginePanel, bpy.types.Panel):
     bl_parent_id = "OBJECT_PT_visibility"
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: "bpy.types.Context") -> bool:
         return super().poll(context) and bool(_rays(context.object))
 
-    def draw(self, context):
+    def draw(self, context: "bpy.types.Context") -> None:
         layout = self.layout
         layout.use_property_split = True
         for ray in _rays(context.object):
             layout.prop(context.object, f"visible_{ray}", text=ray.replace("_", " ").title())
 
 
-def _rays(shown):
+def _rays(shown: "bpy.types.Object") -> tuple[str, ...]:
     """Ray types whose setting has an effect for an object."""
     if shown is None:
         return ()

@@ -4,6 +4,7 @@
 import os
 import re
 import secrets
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ... import inference
@@ -62,7 +63,11 @@ class BakeTarget:
 
 
 def bake_scene(
-    scene: SceneDescription, settings: Settings, target: BakeTarget, progress=None, cancelled=None
+    scene: SceneDescription,
+    settings: Settings,
+    target: BakeTarget,
+    progress: Callable[[float, str], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
 ) -> BakedScene:
     """Bake what has changed of a scene's light. Calls no bpy, so any thread may call this.
 
@@ -111,13 +116,13 @@ def _file_name(name: str) -> str:
 class BakeJob(Worker):
     """bake_scene on a worker thread. result: a BakedScene when done, or None with `error` set."""
 
-    def __init__(self, scene: SceneDescription, settings: Settings, target: BakeTarget):
+    def __init__(self, scene: SceneDescription, settings: Settings, target: BakeTarget) -> None:
         self.result: BakedScene | None = None
         self._task = scene, settings, target
         self._start("mrpnn bake", awaited=True)
 
-    def _work(self):
+    def _work(self) -> None:
         self.result = bake_scene(*self._task, self._progress, lambda: self.stopped)
 
-    def _progress(self, fraction: float, message: str):
+    def _progress(self, fraction: float, message: str) -> None:
         self.fraction, self.message = fraction, message

@@ -7,12 +7,14 @@ stay as they are.
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, PointerProperty, StringProperty
 
 from ..nodes.material import LIGHT_MARK
 from ..scene.reader import SceneDescription
+from ..settings.properties import scene_settings
 from .bake_job import BakedScene, BakedVolume
 from .content import light_keys, volume_names
 from .light_material import light_material, set_frame
@@ -39,21 +41,26 @@ class MRPNN_PG_light(bpy.types.PropertyGroup):
     cycles: StringProperty(name="Cycles Settings Before", description="In JSON, by name")
 
 
-def baked_keys(scene) -> dict[str, str]:
+def light_state(scene: "bpy.types.Scene") -> MRPNN_PG_light:
+    """`scene.mrpnn_light`, which the types of bpy do not have."""
+    return scene.path_resolve("mrpnn_light")
+
+
+def baked_keys(scene: "bpy.types.Scene") -> dict[str, str]:
     """Content keys of what is baked and still there, by volume."""
     found = {}
-    for item in scene.mrpnn_light.volumes:
+    for item in light_state(scene).volumes:
         if item.shown is not None and item.shown.name in scene.objects and len(item.shown.data.materials):
             found[item.name] = item.key
     return found
 
 
-def stale_light(scene, description: SceneDescription) -> list[str]:
+def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list[str]:
     """Sentences about light that is out of date, missing or left over; sequences are not compared."""
-    state = scene.mrpnn_light
+    state = light_state(scene)
     if not state.active:
         return []
-    settings = replace(scene.mrpnn.settings(), directional=state.directional)
+    settings = replace(scene_settings(scene).settings(), directional=state.directional)
     names, known = volume_names(description), baked_keys(scene)
     sequences = {item.name for item in state.volumes if not item.key}
     found = [
@@ -65,9 +72,9 @@ def stale_light(scene, description: SceneDescription) -> list[str]:
     return found + [f'the baked light of "{name}" is left over; Bake Light removes it' for name in left]
 
 
-def show_light(scene, baked: BakedScene) -> None:
+def show_light(scene: "bpy.types.Scene", baked: BakedScene) -> None:
     """Show one frame's light, instead of what was shown of its volumes before."""
-    state = scene.mrpnn_light
+    state = light_state(scene)
     _prepare(scene)
     state.directional = baked.directional
     for one in baked.volumes:
@@ -79,16 +86,16 @@ def show_light(scene, baked: BakedScene) -> None:
         state.volumes.remove(number)
 
 
-def show_sequence(scene, frames: list[BakedScene]) -> None:
+def show_sequence(scene: "bpy.types.Scene", frames: list[BakedScene]) -> None:
     """Show the light of consecutive frames, baked into one target."""
-    first = {}
+    first: dict[str, tuple[int, BakedVolume]] = {}
     for frame in frames:
         for one in frame.volumes:
             first.setdefault(one.name, (frame.frame, one))
     _prepare(scene)
     names = [name for frame in frames for name in frame.names]
     show_light(scene, replace(frames[0], volumes=[one for _, one in first.values()], names=names))
-    for item in scene.mrpnn_light.volumes:
+    for item in light_state(scene).volumes:
         if item.name not in first:
             continue
         start, data = first[item.name][0], item.shown.data
@@ -102,9 +109,9 @@ def show_sequence(scene, frames: list[BakedScene]) -> None:
         item.key = ""
 
 
-def remove_light(scene) -> None:
+def remove_light(scene: "bpy.types.Scene") -> None:
     """Undo `show_light`. The files stay: other copies of the .blend may show them."""
-    state = scene.mrpnn_light
+    state = light_state(scene)
     for item in state.volumes:
         _remove_object(item.shown)
     if state.collection is not None:
@@ -120,14 +127,14 @@ def remove_light(scene) -> None:
         state.property_unset(name)
 
 
-def chooses_ray_marching(scene) -> bool:
+def chooses_ray_marching(scene: "bpy.types.Scene") -> bool:
     """Whether Cycles has two ways through volumes, null scattering and ray marching; Blender 5.0 and later."""
     return hasattr(scene, "cycles") and hasattr(scene.cycles, "volume_biased")
 
 
-def set_cycles(scene, **settings) -> None:
+def set_cycles(scene: "bpy.types.Scene", **settings: Any) -> None:
     """Change settings of Cycles until `remove_light`."""
-    state = scene.mrpnn_light
+    state = light_state(scene)
     before = json.loads(state.cycles or "{}")
     for name, value in settings.items():
         before.setdefault(name, getattr(scene.cycles, name))
@@ -135,9 +142,9 @@ def set_cycles(scene, **settings) -> None:
     state.cycles = json.dumps(before)
 
 
-def _prepare(scene) -> None:
+def _prepare(scene: "bpy.types.Scene") -> None:
     """Settings of the whole scene, whose earlier values are kept."""
-    state = scene.mrpnn_light
+    state = light_state(scene)
     if state.collection is None or COLLECTION not in state.collection.name:
         state.collection = bpy.data.collections.new(COLLECTION)
     if state.collection.name not in scene.collection.children:
@@ -145,7 +152,8 @@ def _prepare(scene) -> None:
     if not state.active:
         state.active = True
         if scene.render.engine not in _ENGINES:
-            state.engine, scene.render.engine = scene.render.engine, "CYCLES"
+            render: Any = scene.render
+            state.engine, render.engine = render.engine, "CYCLES"
     if hasattr(scene, "cycles"):
         # Multiple scattering is in the light already.
         set_cycles(scene, volume_bounces=0)
@@ -154,8 +162,8 @@ def _prepare(scene) -> None:
         set_cycles(scene, volume_biased=True)
 
 
-def _show(scene, one: BakedVolume) -> None:
-    state = scene.mrpnn_light
+def _show(scene: "bpy.types.Scene", one: BakedVolume) -> None:
+    state = light_state(scene)
     item = state.volumes.get(one.name)
     if item is None:
         item = state.volumes.add()
@@ -181,10 +189,10 @@ def _near(path: str) -> bool:
     return True
 
 
-def _remove_object(shown) -> None:
+def _remove_object(shown: "bpy.types.Object") -> None:
     if shown is None:
         return
-    data = shown.data
+    data: Any = shown.data
     bpy.data.objects.remove(shown)
     if data is None or data.users:
         return
@@ -199,13 +207,15 @@ def _remove_object(shown) -> None:
                 bpy.data.actions.remove(action)
 
 
-def register():
+def register() -> None:
     bpy.utils.register_class(MRPNN_PG_lit_volume)
     bpy.utils.register_class(MRPNN_PG_light)
-    bpy.types.Scene.mrpnn_light = PointerProperty(type=MRPNN_PG_light)
+    scene: Any = bpy.types.Scene
+    scene.mrpnn_light = PointerProperty(type=MRPNN_PG_light)
 
 
-def unregister():
-    del bpy.types.Scene.mrpnn_light
+def unregister() -> None:
+    scene: Any = bpy.types.Scene
+    del scene.mrpnn_light
     bpy.utils.unregister_class(MRPNN_PG_light)
     bpy.utils.unregister_class(MRPNN_PG_lit_volume)

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 
 from ...inference.plan.overlap import overlapping
-from ...inference.scene import Settings
+from ...inference.scene import Medium, Settings, Volume
 from ...inference.scene.sparse_grid import SparseGrid
 from ..scene.reader import SceneDescription
 
@@ -30,20 +30,20 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
     around = hashlib.sha256(repr((settings.model, settings.multiple, settings.directional)).encode())
     for sun in description.suns:
         for array in (sun.direction, sun.irradiance, *(sun.spread or ())):
-            around.update(np.ascontiguousarray(array))
+            around.update(np.ascontiguousarray(array).data)
     for lamp in description.lamps:
         values = [getattr(lamp, one.name) for one in fields(lamp) if one.name != "name"]
         around.update(type(lamp).__name__.encode())
         around.update(repr([v.tolist() if isinstance(v, np.ndarray) else v for v in values]).encode())
     for environment in description.environments:
         for array in (environment.radiance, environment.world_from_environment):
-            around.update(np.ascontiguousarray(array))
+            around.update(np.ascontiguousarray(array).data)
     for surface in description.surfaces:
-        around.update(np.ascontiguousarray(surface.triangles))
+        around.update(np.ascontiguousarray(surface.triangles).data)
         around.update(repr((surface.shades, surface.stops, *surface.reflectance, *surface.emission)).encode())
     if not settings.directional:
         camera = description.camera
-        around.update(np.ascontiguousarray(camera.world_matrix))
+        around.update(np.ascontiguousarray(camera.world_matrix).data)
         around.update(repr((camera.projection, camera.resolution, camera.fov, camera.ortho_scale)).encode())
     own = [_volume_digest(volume, medium) for volume, medium in description.volumes]
     keys = [""] * len(own)
@@ -56,12 +56,12 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
     return keys
 
 
-def _volume_digest(volume, medium) -> bytes:
+def _volume_digest(volume: Volume, medium: Medium) -> bytes:
     digest = hashlib.sha256(repr((volume.density.shape, volume.emission_power)).encode())
     for grid in (volume.density, *volume.emission_channels(), *(medium.albedo if medium.varies else ())):
         for array in (grid.table, grid.values, grid.first) if isinstance(grid, SparseGrid) else (grid,):
-            digest.update(np.ascontiguousarray(array))
+            digest.update(np.ascontiguousarray(array).data)
     for array in (volume.world_from_index, medium.sigma_t, *(() if medium.varies else (medium.albedo,))):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     digest.update(repr((medium.anisotropy, medium.emission)).encode())
     return digest.digest()

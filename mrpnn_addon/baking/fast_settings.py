@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings with which Cycles shows baked light fast: light that is baked is nearly free of noise."""
 
+import importlib
+from typing import Any
+
+import bpy
+
 from .baked_scene import chooses_ray_marching, set_cycles
 
 # Of the usual length of a step; error and bias grow little, see docs/baked-light.md.
 STEP_RATE = 4.0
 
 
-def fast_settings(scene, volumes_alone: bool) -> dict:
+def fast_settings(scene: "bpy.types.Scene", volumes_alone: bool) -> dict:
     """Settings of Cycles, by name.
 
     volumes_alone: whether the scene shows nothing else. There one sample is enough, and the denoiser needs no albedo
@@ -24,7 +29,7 @@ def fast_settings(scene, volumes_alone: bool) -> dict:
     return found
 
 
-def set_fast(scene, volumes_alone: bool) -> str:
+def set_fast(scene: "bpy.types.Scene", volumes_alone: bool) -> str:
     """Set what `fast_settings` says, until `remove_light`; gives a sentence about it."""
     found = fast_settings(scene, volumes_alone)
     set_cycles(scene, **found)
@@ -40,7 +45,7 @@ def set_fast(scene, volumes_alone: bool) -> str:
 def _denoises() -> bool:
     """Whether this build of Blender has OpenImageDenoise."""
     try:
-        import _cycles
+        cycles: Any = importlib.import_module("_cycles")
     except ImportError:
         return False
-    return bool(_cycles.with_openimagedenoise)
+    return bool(cycles.with_openimagedenoise)

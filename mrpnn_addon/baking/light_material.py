@@ -2,6 +2,7 @@
 """The material that shows baked light: `inference.LitVolume.towards` as shader nodes."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -16,6 +17,7 @@ from ...inference.baking.directional_factor import (
     DirectionalFactor,
     Lobe,
 )
+from ..nodes.sockets import Node, Socket
 from ..vdb.light_file import COLOURS, DENSITY, LIGHT, anchor_grids, smooth_grids
 
 #: Nodes whose values change from frame to frame.
@@ -28,8 +30,11 @@ RAYS = ("Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Transmission Ray
 # Light, as it is written, below which nobody sees it.
 DARK = 1e-7
 
+# What drives an input: the output of a node, or a number.
+Value = Socket | float
 
-def light_material(name: str, scale: float, directional: DirectionalFactor | None):
+
+def light_material(name: str, scale: float, directional: DirectionalFactor | None) -> "bpy.types.Material":
     """A new material for a Volume object that loads a file of `vdb.light_file.write_light`.
 
     Branches are Mix Shaders, because Cycles evaluates only the nodes that it needs of these.
@@ -61,7 +66,7 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
     return material
 
 
-def set_frame(material, scale: float, directional: DirectionalFactor | None, frame: int) -> None:
+def set_frame(material: "bpy.types.Material", scale: float, directional: DirectionalFactor | None, frame: int) -> None:
     """Key what a material of `light_material` knows of one frame: camera and suns."""
     if directional is None:
         return
@@ -71,7 +76,7 @@ def set_frame(material, scale: float, directional: DirectionalFactor | None, fra
         SUN.format(n + 1): d for n, d in enumerate(directional.lobe.directions)
     }
     for name, vector in vectors.items():
-        node = nodes.get(name)
+        node: Any = nodes.get(name)
         if node is None or vector is None:
             continue
         for socket, value in zip(node.inputs, vector):
@@ -79,7 +84,14 @@ def set_frame(material, scale: float, directional: DirectionalFactor | None, fra
             socket.keyframe_insert("default_value", frame=frame)
 
 
-def _other(build: "_Nodes", ray, baked, cosine, light, directional: DirectionalFactor):
+def _other(
+    build: "_Nodes",
+    ray: Value,
+    baked: Value,
+    cosine: Value,
+    light: Value,
+    directional: DirectionalFactor,
+) -> Socket:
     """The socket of the light along a ray.
 
     baked: the baked view's ray, or None. cosine: between both, or None. light: along the baked ray.
@@ -103,7 +115,7 @@ def _other(build: "_Nodes", ray, baked, cosine, light, directional: DirectionalF
     return build.vector("MULTIPLY", light, build.combine(*factors))
 
 
-def _smooth(build: "_Nodes", ray, lobe: Lobe) -> list:
+def _smooth(build: "_Nodes", ray: Value, lobe: Lobe) -> list:
     """The sockets of `directional_terms`, three to a vector."""
     x, y, z = build.separate(ray)
     xy, yz, xz = build.math("MULTIPLY", x, y), build.math("MULTIPLY", y, z), build.math("MULTIPLY", x, z)
@@ -113,7 +125,7 @@ def _smooth(build: "_Nodes", ray, lobe: Lobe) -> list:
     return build.triples(terms)
 
 
-def _anchors(build: "_Nodes", ray, baked, share, view: BakedView) -> list:
+def _anchors(build: "_Nodes", ray: Value, baked: Value, share: Value, view: BakedView) -> list:
     """The sockets of what the coefficients of anchors multiply, three to a vector."""
     terms = [build.math("MULTIPLY", share, -1.0)]
     if baked is not None:
@@ -126,7 +138,7 @@ def _anchors(build: "_Nodes", ray, baked, share, view: BakedView) -> list:
     return build.triples(terms)
 
 
-def _cubic(build: "_Nodes", x, y, z) -> list:
+def _cubic(build: "_Nodes", x: Value, y: Value, z: Value) -> list:
     """The sockets of `cubic_terms`."""
     xx, yy, zz = (build.math("MULTIPLY", value, value) for value in (x, y, z))
     # x^2 - 3 y^2, 3 x^2 - y^2, x^2 - y^2 and 5 z^2 - 1.
@@ -138,7 +150,7 @@ def _cubic(build: "_Nodes", x, y, z) -> list:
     return [build.math("MULTIPLY", *factors) for factors in (*terms, (z, last))]
 
 
-def _lobe(build: "_Nodes", ray, lobe: Lobe):
+def _lobe(build: "_Nodes", ray: Value, lobe: Lobe) -> Socket:
     """The socket of `Lobe.logarithm`."""
     g, total = lobe.anisotropy, None
     for number, (direction, weight) in enumerate(zip(lobe.directions, lobe.weights)):
@@ -151,7 +163,7 @@ def _lobe(build: "_Nodes", ray, lobe: Lobe):
     return build.math("LOGARITHM", total, math.e)
 
 
-def _baked_ray(build: "_Nodes", geometry, view: BakedView):
+def _baked_ray(build: "_Nodes", geometry: Node, view: BakedView) -> Socket | None:
     """The socket of the baked view's ray at the shaded point; None without a view."""
     if view.direction is not None:
         return build.combine(*map(float, view.direction), name=VIEW)
@@ -164,10 +176,10 @@ def _baked_ray(build: "_Nodes", geometry, view: BakedView):
 class _Nodes:
     """Adds nodes to a tree; a value is a socket or a number."""
 
-    def __init__(self, tree):
+    def __init__(self, tree: Any) -> None:
         self.tree = tree
 
-    def node(self, kind: str, name: str = ""):
+    def node(self, kind: str, name: str = "") -> Node:
         made = self.tree.nodes.new(kind)
         if name:
             made.name = made.label = name
@@ -175,24 +187,24 @@ class _Nodes:
         made.location = (180 * (len(self.tree.nodes) // 8), -160 * (len(self.tree.nodes) % 8))
         return made
 
-    def link(self, source, target) -> None:
+    def link(self, source: Value, target: Socket) -> None:
         if isinstance(source, (int, float, np.floating)):
             target.default_value = float(source)
         else:
             self.tree.links.new(source, target)
 
-    def value(self, name: str, value: float):
+    def value(self, name: str, value: float) -> Socket:
         made = self.node("ShaderNodeValue", name)
         made.outputs[0].default_value = value
         return made.outputs[0]
 
-    def emission(self, colour, strength):
+    def emission(self, colour: Value, strength: Value) -> Socket:
         made = self.node("ShaderNodeEmission")
         self.link(colour, made.inputs["Color"])
         self.link(strength, made.inputs["Strength"])
         return made.outputs[0]
 
-    def mix(self, factor, first, second):
+    def mix(self, factor: Value, first: Value, second: Value) -> Socket:
         """A Mix Shader: the first at factor 0, None for nothing."""
         made = self.node("ShaderNodeMixShader")
         for value, socket in zip((factor, first, second), made.inputs):
@@ -200,19 +212,19 @@ class _Nodes:
                 self.link(value, socket)
         return made.outputs[0]
 
-    def attribute(self, name: str, output: str = "Vector"):
+    def attribute(self, name: str, output: str = "Vector") -> Socket:
         made = self.node("ShaderNodeAttribute")
         made.attribute_name = name
         return made.outputs[output]
 
-    def math(self, operation: str, *values):
+    def math(self, operation: str, *values: Value) -> Socket:
         made = self.node("ShaderNodeMath")
         made.operation = operation
         for value, socket in zip(values, made.inputs):
             self.link(value, socket)
         return made.outputs[0]
 
-    def vector(self, operation: str, *values, scale=1.0):
+    def vector(self, operation: str, *values: Value, scale: Value = 1.0) -> Socket:
         made = self.node("ShaderNodeVectorMath")
         made.operation = operation
         for value, socket in zip(values, made.inputs):
@@ -221,25 +233,25 @@ class _Nodes:
             self.link(scale, made.inputs["Scale"])
         return made.outputs["Value" if operation == "DOT_PRODUCT" else "Vector"]
 
-    def exponential(self, cosine, sharpness: float):
+    def exponential(self, cosine: Value, sharpness: float) -> Socket:
         """exp(sharpness (cosine - 1))."""
         return self.math("EXPONENT", self.math("MULTIPLY_ADD", cosine, sharpness, -sharpness))
 
-    def limited_exponential(self, logarithm):
+    def limited_exponential(self, logarithm: Value) -> Socket:
         limited = self.math("MAXIMUM", self.math("MINIMUM", logarithm, MAX_LOGARITHM), -MAX_LOGARITHM)
         return self.math("EXPONENT", limited)
 
-    def separate(self, vector):
+    def separate(self, vector: Value) -> Any:
         made = self.node("ShaderNodeSeparateXYZ")
         self.link(vector, made.inputs[0])
         return made.outputs
 
-    def triples(self, values) -> list:
+    def triples(self, values: Sequence[Value]) -> list:
         """Vectors of three values each, the last filled up with zeros."""
         values = [*values, *[0.0] * (-len(values) % 3)]
         return [self.combine(*values[start : start + 3]) for start in range(0, len(values), 3)]
 
-    def combine(self, *values, name: str = ""):
+    def combine(self, *values: Value, name: str = "") -> Socket:
         made = self.node("ShaderNodeCombineXYZ", name)
         for value, socket in zip(values, made.inputs):
             self.link(value, socket)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Error against run time on logarithmic axes: layout, and the chart as SVG."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -41,17 +42,17 @@ class Chart:
     y: tuple[float, float]
     clock: str = "seconds"
 
-    def place(self, seconds, error):
+    def place(self, seconds: float, error: float) -> tuple[float, float]:
         """Pixels from the upper left."""
         left, top, right, bottom = FRAME
         across = np.log(seconds / self.x[0]) / np.log(self.x[1] / self.x[0])
         up = np.log(np.clip(error, *self.y) / self.y[0]) / np.log(self.y[1] / self.y[0])
         return float(left + across * (right - left)), float(bottom - up * (bottom - top))
 
-    def point(self, rung: Rung):
+    def point(self, rung: Rung) -> tuple[float, float]:
         return self.place(getattr(rung, self.clock), rung.error)
 
-    def bar(self, rung: Rung):
+    def bar(self, rung: Rung) -> tuple[float, float]:
         """Upper and lower end of the interval, in pixels from the top."""
         x = getattr(rung, self.clock)
         return self.place(x, max(rung.rmse.high, rung.error))[1], self.place(x, rung.rmse.low or self.y[0])[1]
@@ -84,7 +85,7 @@ def ticks(low: float, high: float) -> list:
     return [value for value in found if low * 0.999 <= value <= high * 1.001]
 
 
-def _axis(values):
+def _axis(values: Sequence[float]) -> tuple[float, float]:
     low, high = min(values), max(values)
     steps = ticks(low / 6, high * 6)
     return max(v for v in steps if v < low), min(v for v in steps if v > high)

@@ -2,6 +2,7 @@
 """A running comparison: one image after another, layers on a thread, Cycles in a process, without blocking."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from ...inference.scene import Cancelled, SceneError, Settings
@@ -11,6 +12,7 @@ from ..cycles.process import CyclesProcess, PassFailed
 from ..engine.render_job import RenderJob
 from ..output.layer_frame import rgba
 from ..runtime.background import in_background
+from ..scene.reader import SceneDescription
 from .plan import Request, next_job, remaining_seconds
 
 ONCE = ("network loading", "fields", "shadows", "light paths")
@@ -27,20 +29,30 @@ class ComparisonJob:
     the exception that ended the job.
     """
 
-    def __init__(self, request: Request, description, settings: Settings, open_store, process: CyclesProcess):
+    def __init__(
+        self,
+        request: Request,
+        description: SceneDescription,
+        settings: Settings,
+        open_store: Callable[[], PassStore],
+        process: CyclesProcess,
+    ) -> None:
         self.request, self.description, self.settings = request, description, settings
         self.store: PassStore | None = None
         self._opening = in_background(open_store)
         self._process = process
         self.passes: dict[Job, Pass] = {}
-        self.marks, self.message, self.error = [], "", None
-        self._failed, self._spent = set(), 0.0
+        self.marks: list[str] = []
+        self.message = ""
+        self.error: BaseException | None = None
+        self._failed: set[Job] = set()
+        self._spent = 0.0
         self._job: Job | None = None
-        self._layer = None
+        self._layer: RenderJob | None = None
         self.done = False
         self._start = time.monotonic()
 
-    def _find_finished(self):
+    def _find_finished(self) -> None:
         for job in self.request.cycles_jobs():
             found = self.store.get(job)
             if found is not None:
@@ -96,7 +108,7 @@ class ComparisonJob:
     def seconds_left(self) -> float:
         return remaining_seconds(self.request, self.passes, self._failed, self._spent)
 
-    def _begin(self, job: Job | None):
+    def _begin(self, job: Job | None) -> None:
         self._job = job
         if job is None:
             self._end(None)
@@ -129,7 +141,7 @@ class ComparisonJob:
             layer.result.warnings,
         )
 
-    def _end(self, error):
+    def _end(self, error: Exception | None) -> None:
         self.error, self.done = error, True
         if self._layer is not None:
             # The thread ends within a second; do not wait for it.

@@ -3,6 +3,7 @@
 
 import base64
 import json
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
@@ -104,11 +105,11 @@ def _summary(comparison: Comparison) -> str:
     )
 
 
-def _verdict(comparison: Comparison):
+def _verdict(comparison: Comparison) -> list[str]:
     return [] if comparison.verdict.good else [f"The reference is {comparison.verdict}."]
 
 
-def _row(rung: Rung):
+def _row(rung: Rung) -> list[str]:
     return [
         rung.method,
         str(rung.samples),
@@ -121,14 +122,14 @@ def _row(rung: Rung):
     ]
 
 
-def _table(head, rows) -> str:
-    def line(cells, tag):
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
     return "<table>" + (line(head, "th") if any(head) else "") + "".join(line(row, "td") for row in rows) + "</table>"
 
 
-def _options(pictures, chosen: str) -> str:
+def _options(pictures: Mapping[str, bytes], chosen: str) -> str:
     return "".join(
         f"<option{' selected' if caption == chosen else ''}>{escape(caption)}</option>" for caption in pictures
     )

@@ -2,7 +2,9 @@
 """Images encoded as PNG in memory by Blender."""
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from ..output.layer_image import save_view_transformed
 
 
-def view_png(values: np.ndarray, scene) -> bytes:
+def view_png(values: np.ndarray, scene: "bpy.types.Scene") -> bytes:
     """Linear premultiplied (H, W, 4), rows from the top, with the scene's view transform and alpha."""
     image = _image(values, float_buffer=True)
     image.alpha_mode = "PREMUL"
@@ -25,14 +27,15 @@ def display_png(colours: np.ndarray) -> bytes:
     return _file(image, lambda path: image.save(filepath=path))
 
 
-def _image(values, float_buffer: bool):
+def _image(values: np.ndarray, float_buffer: bool) -> "bpy.types.Image":
     height, width = values.shape[:2]
     image = bpy.data.images.new("mrpnn picture", width, height, alpha=True, float_buffer=float_buffer)
-    image.pixels.foreach_set(np.ascontiguousarray(values[::-1], np.float32).ravel())
+    pixels: Any = image.pixels
+    pixels.foreach_set(np.ascontiguousarray(values[::-1], np.float32).ravel())
     return image
 
 
-def _file(image, save) -> bytes:
+def _file(image: "bpy.types.Image", save: Callable[[str], Any]) -> bytes:
     try:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "picture.png"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which image a comparison renders next, from those that are finished and its budget."""
 
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from ...inference.evaluation.error_vs_time import cost
@@ -37,7 +38,8 @@ class Request:
 
         Independent of their number, so that a larger reference continues a smaller one.
         """
-        jobs, half = [], 0
+        jobs: list[Job] = []
+        half = 0
         while half < self.samples and not self.given:
             size = min(PASS_SAMPLES * STEP ** (len(jobs) // (2 * PASSES_PER_SIZE)), self.samples - half)
             jobs += [Job(REFERENCE, size, len(jobs) + number) for number in range(2)]
@@ -46,7 +48,8 @@ class Request:
 
     def ladder_jobs(self) -> list:
         """Cycles as a candidate: ladders, cheapest first, then as artists set it."""
-        jobs, samples = [], 1
+        jobs: list[Job] = []
+        samples = 1
         while samples <= self.largest:
             jobs += [Job(method, samples) for method in self.methods]
             samples *= STEP
@@ -56,7 +59,7 @@ class Request:
         return [*self.reference_jobs(), *self.ladder_jobs()]
 
 
-def next_job(request: Request, done: dict[Job, Pass], failed=(), spent: float = 0.0) -> Job | None:
+def next_job(request: Request, done: dict[Job, Pass], failed: Collection[Job] = (), spent: float = 0.0) -> Job | None:
     """The next image to render; None at the end.
 
     done, failed: jobs of this and earlier runs. spent: seconds of Cycles in this run.
@@ -65,7 +68,7 @@ def next_job(request: Request, done: dict[Job, Pass], failed=(), spent: float = 
     what is left, then the rest of the reference.
     """
 
-    def missing(jobs):
+    def missing(jobs: Iterable[Job]) -> Iterator[Job]:
         return (job for job in jobs if job not in done and job not in failed)
 
     for job in missing(request.layers):
@@ -93,7 +96,9 @@ def usual_jobs(null: bool) -> tuple[Job, ...]:
     return tuple(Job(choice.name, samples) for choice, samples in USUAL if choice.null <= null)
 
 
-def remaining_seconds(request: Request, done: dict[Job, Pass], failed=(), spent: float = 0.0) -> float:
+def remaining_seconds(
+    request: Request, done: dict[Job, Pass], failed: Collection[Job] = (), spent: float = 0.0
+) -> float:
     """Estimated seconds that Cycles still takes."""
     missing = [job for job in request.cycles_jobs() if job not in done and job not in failed]
     expected = sum(expected_seconds(job, done) for job in missing)

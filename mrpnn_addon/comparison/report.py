@@ -5,7 +5,9 @@ import csv
 import io
 import os
 import platform
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -18,6 +20,9 @@ from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
 from .pictures import display_png, view_png
 from .results import MASK_ALPHA, Comparison
+
+if TYPE_CHECKING:
+    from .run import ComparisonRun
 
 TOO_DARK, TOO_BRIGHT = np.array([0.13, 0.40, 0.67]), np.array([0.70, 0.09, 0.17])
 COLUMNS = (
@@ -38,7 +43,7 @@ COLUMNS = (
 )
 
 
-def writing(run, comparison: Comparison):
+def writing(run: "ComparisonRun", comparison: Comparison) -> Iterator[Path]:
     """Write report.html, figures.csv and figures.json into the folder of a ComparisonRun, and draw the chart.
 
     A generator of short steps that yields the page's path. Raises SceneError where a file cannot be written.
@@ -89,7 +94,7 @@ def signed_error(layer: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return (1.0 + np.abs(share) * (np.where(share > 0.0, TOO_BRIGHT, TOO_DARK) - 1.0)).astype(np.float32)
 
 
-def _images(run, comparison: Comparison, reference: str) -> dict:
+def _images(run: "ComparisonRun", comparison: Comparison, reference: str) -> dict:
     """Images by caption: the judged layer, the reference, every other candidate."""
     found = {}
     for job, done in run.job.passes.items():
@@ -104,7 +109,7 @@ def _images(run, comparison: Comparison, reference: str) -> dict:
     return found
 
 
-def _facts(run, comparison: Comparison) -> dict:
+def _facts(run: "ComparisonRun", comparison: Comparison) -> dict:
     width, height = comparison.resolution
     threads = run.settings.threads or os.cpu_count()
     own = run.scene.cycles

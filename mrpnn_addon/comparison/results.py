@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Figures of a comparison: errors, times, and equal-error and equal-time comparisons."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +61,7 @@ class Equal:
     def frame_ratio(self) -> float:
         return self.needed.value / self.frame_seconds
 
-    def __str__(self):
+    def __str__(self) -> str:
         clock = "s" if self.clock == "seconds" else "processor seconds"
         if not np.isfinite(self.ratio):
             return f"{self.method}: how long it takes to reach this error is unknown"
@@ -143,7 +145,7 @@ class Comparison:
         write_json(path, self.figures())
 
 
-def _finite(value):
+def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -151,7 +153,7 @@ def _finite(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def halves(passes: dict[Job, Pass]):
+def halves(passes: dict[Job, Pass]) -> tuple[np.ndarray, ...] | None:
     """The two halves of the reference, float64 (H, W, 4), from its passes of even and odd seeds; None where one is
     missing.
     """
@@ -160,13 +162,18 @@ def halves(passes: dict[Job, Pass]):
         jobs = [job for job in passes if job.method == REFERENCE and job.seed % 2 == half]
         if not jobs:
             return None
-        total = sum(job.samples * passes[job].image.astype(np.float64) for job in jobs)
+        total: Any = sum(job.samples * passes[job].image.astype(np.float64) for job in jobs)
         found.append(total / sum(job.samples for job in jobs))
     return tuple(found)
 
 
 def compare(
-    passes: dict[Job, Pass], request: Request, bounces: int, version: str, given: np.ndarray | None = None, marks=()
+    passes: dict[Job, Pass],
+    request: Request,
+    bounces: int,
+    version: str,
+    given: np.ndarray | None = None,
+    marks: Sequence[str] = (),
 ) -> Comparison:
     """Measure every candidate among `passes` against their reference, or against a `given` one (H, W, 4).
 
@@ -229,7 +236,7 @@ def compare(
     return result
 
 
-def _rung(job: Job, done: Pass, a, b, mask) -> Rung:
+def _rung(job: Job, done: Pass, a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> Rung:
     image = done.image[..., :3]
     return Rung(
         job.method,
@@ -244,7 +251,7 @@ def _rung(job: Job, done: Pass, a, b, mask) -> Rung:
     )
 
 
-def _add_equal(result: Comparison, references, variance: float) -> None:
+def _add_equal(result: Comparison, references: Any, variance: float) -> None:
     """Equal-error and equal-time figures by both clocks. variance: of the references, which are marched."""
     for clock in CLOCKS:
         seconds = getattr(result.judged, clock)
@@ -285,7 +292,7 @@ def _marks(bounces: int, alpha_bias: Estimate, given: bool) -> list[str]:
     return found
 
 
-def _order(request: Request):
+def _order(request: Request) -> Callable[[tuple[Job, Pass]], tuple]:
     """Layers in the order of the request, then Cycles by samples."""
     places = {job: i for i, job in enumerate(request.layers)}
     return lambda item: (places.get(item[0], len(places)), item[0].method, item[0].samples)

@@ -3,6 +3,7 @@
 
 import os
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from ..cycles.pass_store import Job, PassStore, scene_key
 from ..cycles.process import CyclesProcess
 from ..cycles.reference import read_image, volumes_and_lights
 from ..scene.reader import read_scene, require_volumes
+from ..volumes.reader import VolumeReader
 from . import report as comparison_report
 from .job import ComparisonJob
 from .plan import Request, ladders, usual_jobs
@@ -57,7 +59,9 @@ class ComparisonRun:
     Raises SceneError for what cannot be compared, and OSError where the folder cannot be created.
     """
 
-    def __init__(self, context, settings: Settings, options: Options, reader=None):
+    def __init__(
+        self, context: "bpy.types.Context", settings: Settings, options: Options, reader: VolumeReader | None = None
+    ) -> None:
         self.options, self.settings, self.scene = options, settings, context.scene
         self.folder = _folder(options.folder)
         self.given = _read_reference(options.reference_path) if options.reference_path else None
@@ -93,7 +97,7 @@ class ComparisonRun:
             process,
         )
 
-    def wait(self, progress=None) -> None:
+    def wait(self, progress: Callable[[float, str], None] | None = None) -> None:
         """Block until the comparison is done. progress: called with (fraction, message). Ctrl-C stops and keeps what is
         finished.
         """
@@ -131,7 +135,7 @@ class ComparisonRun:
         *_, page = self.writing(comparison)
         return page
 
-    def writing(self, comparison: Comparison):
+    def writing(self, comparison: Comparison) -> Iterator[Path]:
         """As `write`, in short steps: see `report.writing`."""
         return comparison_report.writing(self, comparison)
 
@@ -144,10 +148,10 @@ class ComparisonRun:
         return self.given if self.given is not None else np.mean(halves(self.job.passes), axis=0).astype(np.float32)
 
 
-def _layers(settings: Settings, options: Options):
+def _layers(settings: Settings, options: Options) -> tuple[Job, ...]:
     """The judged image first, then its ladder, other networks, and the baselines."""
 
-    def job(model, depths):
+    def job(model: str, depths: int) -> Job:
         return Job(model, depths, settings.seed)
 
     own = settings.depth_samples
@@ -158,7 +162,7 @@ def _layers(settings: Settings, options: Options):
 
 
 @contextmanager
-def scaled(scene, percentage: int):
+def scaled(scene: "bpy.types.Scene", percentage: int) -> Iterator[None]:
     """The scene at a percentage of its resolution, restored afterwards."""
     before = scene.render.resolution_percentage
     scene.render.resolution_percentage = max(1, before * percentage // 100)
@@ -175,15 +179,15 @@ def _folder(path: str) -> Path:
 
 
 def _read_reference(path: str) -> np.ndarray | None:
-    path = Path(bpy.path.abspath(path))
-    if not path.is_file():
-        raise SceneError(f"the reference {path} does not exist; choose an .exr file")
+    file = Path(bpy.path.abspath(path))
+    if not file.is_file():
+        raise SceneError(f"the reference {file} does not exist; choose an .exr file")
     try:
-        image = read_image(path)
+        image = read_image(file)
     except RuntimeError as error:
-        raise SceneError(f"the reference {path} cannot be read: {str(error).strip()}") from None
+        raise SceneError(f"the reference {file} cannot be read: {str(error).strip()}") from None
     if image.size == 0 or not np.isfinite(image).all():
         raise SceneError(
-            f"the reference {path} is empty or has NaN or infinite values; render it again as OpenEXR with RGBA"
+            f"the reference {file} is empty or has NaN or infinite values; render it again as OpenEXR with RGBA"
         )
     return image

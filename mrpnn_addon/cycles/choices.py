@@ -2,6 +2,9 @@
 """The ways in which Cycles renders a view, by name: as a reference, as a candidate, and as artists set it."""
 
 from dataclasses import dataclass
+from typing import Any
+
+import bpy
 
 REFERENCE = "reference"
 
@@ -54,12 +57,12 @@ class Choice:
         return found | ({"denoiser": "OPENIMAGEDENOISE"} if self.denoised else {})
 
 
-def has_null_scattering(scene) -> bool:
+def has_null_scattering(scene: "bpy.types.Scene") -> bool:
     """Whether a scene's Cycles chooses between ray marching and null scattering."""
     return hasattr(scene.cycles, "volume_biased")
 
 
-def usual(bounces: int, **others) -> Choice:
+def usual(bounces: int, **others: Any) -> Choice:
     """As artists set it: few bounces, clamped and denoised."""
     return Choice(bounces, **{"denoised": True, "clamp": 10.0, **others})
 

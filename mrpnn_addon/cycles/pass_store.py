@@ -11,6 +11,7 @@ import numpy as np
 
 from ...inference.scene.sparse_grid import SparseGrid
 from ..runtime.atomic_write import atomic_write
+from ..scene.reader import SceneDescription
 from .choices import CHOICES
 
 # Version of the files and of how they are rendered; files of other versions are ignored.
@@ -51,7 +52,7 @@ class Pass:
     warnings: list[str] = field(default_factory=list)
 
 
-def scene_key(description, bounces: int, version: str) -> str:
+def scene_key(description: SceneDescription, bounces: int, version: str) -> str:
     """Identifies what Cycles renders of a scene: a digest of its volumes, media, suns, camera and frame.
 
     description: a SceneDescription. version: Blender's.
@@ -61,9 +62,9 @@ def scene_key(description, bounces: int, version: str) -> str:
         digest.update(repr(volume.density.shape).encode())
         for grid in (volume.density, *volume.emission_channels(), *(medium.albedo if medium.varies else ())):
             for array in (grid.table, grid.values, grid.first) if isinstance(grid, SparseGrid) else (grid,):
-                digest.update(np.ascontiguousarray(array))
+                digest.update(np.ascontiguousarray(array).data)
         for array in (volume.world_from_index, medium.sigma_t, *(() if medium.varies else (medium.albedo,))):
-            digest.update(np.ascontiguousarray(array))
+            digest.update(np.ascontiguousarray(array).data)
         if volume.emission is not None:
             digest.update(repr(volume.emission_power).encode())
             digest.update(repr(medium.emission).encode())
@@ -71,7 +72,7 @@ def scene_key(description, bounces: int, version: str) -> str:
     for sun in description.suns:
         digest.update(sun.direction.tobytes() + sun.irradiance.tobytes())
         for array in sun.spread or ():
-            digest.update(np.ascontiguousarray(array))
+            digest.update(np.ascontiguousarray(array).data)
     for lamp in description.lamps:
         digest.update(repr(sorted((name, np.asarray(value).tolist()) for name, value in vars(lamp).items())).encode())
     for environment in description.environments:
@@ -85,7 +86,7 @@ def scene_key(description, bounces: int, version: str) -> str:
 class PassStore:
     """A folder of passes of one scene."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
 
     def get(self, job: Job) -> Pass | None:

@@ -4,6 +4,7 @@
 import json
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -32,9 +33,16 @@ class CyclesProcess:
     and raises its errors. The process starts with the first pass and checks Cycles on a homogeneous box before it.
     """
 
-    def __init__(self, scene, objects, bounces: int, world=None):
+    def __init__(
+        self,
+        scene: "bpy.types.Scene",
+        objects: "Sequence[bpy.types.Object]",
+        bounces: int,
+        world: "bpy.types.World" = None,
+    ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="mrpnn-")
-        self._process, self._asked, self._checked, self._bounces = None, None, False, bounces
+        self._process: subprocess.Popen[str] | None = None
+        self._asked, self._checked, self._bounces = "", False, bounces
         try:
             tracing = PathTracing(1, bounces)
             with view_scene(scene, objects, tracing, world) as view, box_scene(self._folder.name) as box:
@@ -94,12 +102,12 @@ class CyclesProcess:
             return None
         return json.loads(path.read_text())
 
-    def _start(self):
+    def _start(self) -> None:
         command = blender_command(WORKER, [str(self._path("scene.blend")), self._folder.name])
         with open(self._path("log.txt"), "w") as log:
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True)
 
-    def _send(self, name, scene, samples, seed, choice: Choice):
+    def _send(self, name: str, scene: str, samples: int, seed: int, choice: Choice) -> None:
         settings = {"samples": samples, "seed": seed, **choice.settings(self._bounces)}
         ask = {"name": name, "scene": scene, "settings": settings}
         try:

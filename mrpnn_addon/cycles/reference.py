@@ -3,8 +3,10 @@
 
 import tempfile
 import time
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -37,7 +39,14 @@ class Reference:
     version: str
 
 
-def render_reference(scene, objects, tracing=DEFAULTS, world=None, seed=0, progress=None) -> Reference:
+def render_reference(
+    scene: "bpy.types.Scene",
+    objects: "Sequence[bpy.types.Object]",
+    tracing: PathTracing = DEFAULTS,
+    world: "bpy.types.World" = None,
+    seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
+) -> Reference:
     """Path trace `objects` (volumes and suns) from the scene's camera, in `world` or on a black World.
 
     scene: gives frame, camera, resolution, render region and thread count; it is not changed.
@@ -59,10 +68,11 @@ def render_reference(scene, objects, tracing=DEFAULTS, world=None, seed=0, progr
             report(half / 2, f"rendering reference {half + 1} of 2 in Cycles, {tracing.samples} samples per pixel")
             reference.cycles.seed = 2 * seed + half
             halves.append(_render(reference))
-    return Reference(*halves, time.perf_counter() - start, tracing.samples, tracing.bounces, bpy.app.version_string)
+    a, b = halves
+    return Reference(a, b, time.perf_counter() - start, tracing.samples, tracing.bounces, bpy.app.version_string)
 
 
-def volumes_and_lights(depsgraph, left_out=frozenset()) -> list:
+def volumes_and_lights(depsgraph: "bpy.types.Depsgraph", left_out: Collection[str] = ()) -> list:
     """The objects that the layer shows, or that instance them: the contents of a reference.
 
     left_out: see `SceneDescription`.
@@ -104,7 +114,7 @@ def require_box_alpha(alpha: float) -> None:
         )
 
 
-def _render(scene) -> np.ndarray:
+def _render(scene: "bpy.types.Scene") -> np.ndarray:
     """Render `scene` through a temporary EXR file: float32 (H, W, 4), rows from the top."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "render.exr"
@@ -124,7 +134,8 @@ def read_image(path: Path) -> np.ndarray:
         image.alpha_mode = "CHANNEL_PACKED"
         width, height = image.size
         pixels = np.empty(width * height * 4, np.float32)
-        image.pixels.foreach_get(pixels)
+        values: Any = image.pixels
+        values.foreach_get(pixels)
     finally:
         bpy.data.images.remove(image)
     return pixels.reshape(height, width, 4)[::-1].copy()

@@ -6,9 +6,11 @@ black World, and is always removed.
 """
 
 import os
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -61,7 +63,12 @@ class PathTracing:
 
 
 @contextmanager
-def view_scene(scene, objects, tracing: PathTracing, world=None):
+def view_scene(
+    scene: "bpy.types.Scene",
+    objects: "Sequence[bpy.types.Object]",
+    tracing: PathTracing,
+    world: "bpy.types.World" = None,
+) -> "Iterator[bpy.types.Scene]":
     """A scene that shows `objects` (volumes and suns) from `scene`'s camera, unbiased, on a black World or in `world`.
 
     scene: gives frame, camera, resolution, render region and thread count; it is not changed.
@@ -83,7 +90,7 @@ def view_scene(scene, objects, tracing: PathTracing, world=None):
 
 
 @contextmanager
-def box_scene(folder: str):
+def box_scene(folder: str) -> "Iterator[bpy.types.Scene]":
     """A scene of known alpha: a homogeneous box of optical thickness CHECK_DEPTH, its file in `folder`.
 
     Some versions of Blender lose most of a volume in circumstances that users cannot see (5.0 and later without a
@@ -108,14 +115,14 @@ def box_scene(folder: str):
 
 
 @contextmanager
-def _reference_scene(samples: int, bounces: int):
+def _reference_scene(samples: int, bounces: int) -> "Iterator[tuple[bpy.types.Scene, Callable[[Any], Any]]]":
     """A new scene set up for an unbiased Cycles render on a black World.
 
     Yields (scene, keep); keep(data_block) returns the block and has it removed with the scene.
     """
     kept = []
 
-    def keep(block):
+    def keep(block: Any) -> Any:
         kept.append(block)
         return block
 
@@ -141,7 +148,7 @@ def _reference_scene(samples: int, bounces: int):
         bpy.data.batch_remove(kept)
 
 
-def _black_world():
+def _black_world() -> "bpy.types.World":
     world = bpy.data.worlds.new("mrpnn black")
     world.color = (0.0, 0.0, 0.0)
     # From 5.0 on Worlds always have nodes, and setting this is deprecated.
@@ -149,11 +156,12 @@ def _black_world():
         world.use_nodes = True
     for node in world.node_tree.nodes:
         if node.type == "BACKGROUND":
-            node.inputs["Strength"].default_value = 0.0
+            strength: Any = node.inputs["Strength"]
+            strength.default_value = 0.0
     return world
 
 
-def _copy_view(source, reference, keep) -> None:
+def _copy_view(source: "bpy.types.Scene", reference: "bpy.types.Scene", keep: Callable[[Any], Any]) -> None:
     """Copy frame, resolution, region, threads, exposure and camera of `source`; the camera without depth of field."""
     for name in (
         "resolution_x",
@@ -181,14 +189,14 @@ def _copy_view(source, reference, keep) -> None:
     reference.frame_set(source.frame_current, subframe=source.frame_subframe)
 
 
-def _white_medium(density: float):
+def _white_medium(density: float) -> "bpy.types.Material":
     """A material of albedo 1 and extinction `density` per unit of grid value."""
     material = bpy.data.materials.new("mrpnn check")
     if material.node_tree is None:
         material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
-    shader = tree.nodes.new("ShaderNodeVolumePrincipled")
+    shader: Any = tree.nodes.new("ShaderNodeVolumePrincipled")
     shader.inputs["Density"].default_value = density
     shader.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     output = tree.nodes.new("ShaderNodeOutputMaterial")

@@ -10,12 +10,14 @@ import json
 import os
 import sys
 import time
+from typing import Any
 
 import bpy
 
 
-def main(blend, folder):
-    with bpy.data.libraries.load(blend) as (found, wanted):
+def main(blend: str, folder: str) -> None:
+    libraries: Any = bpy.data.libraries
+    with libraries.load(blend) as (found, wanted):
         wanted.scenes = found.scenes
     for line in sys.stdin:
         ask = json.loads(line)
@@ -29,7 +31,7 @@ def main(blend, folder):
         os.replace(partial, os.path.join(folder, ask["name"] + ".json"))
 
 
-def render(ask, path):
+def render(ask: dict, path: str) -> dict:
     scene = bpy.data.scenes[ask["scene"]]
     # Cycles renders the first file of a volume sequence in a scene that no window has shown at its frame.
     bpy.context.window.scene = scene

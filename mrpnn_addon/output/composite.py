@@ -14,6 +14,7 @@ from bpy.props import BoolProperty, PointerProperty, StringProperty
 
 from ..nodes.material import shows_volume
 from ..runtime.text import utf8_names
+from ..settings.properties import scene_settings
 from .composite_nodes import build_nodes, compositor_problems, remove_nodes
 
 ENGINE = "MRPNN"
@@ -51,6 +52,11 @@ class MRPNN_PG_composite(bpy.types.PropertyGroup):
 
 
 @utf8_names()
+def composite_state(scene: "bpy.types.Scene") -> MRPNN_PG_composite:
+    """`scene.mrpnn_composite`, which the types of bpy do not have."""
+    return scene.path_resolve("mrpnn_composite")
+
+
 def composite(scene: "bpy.types.Scene", shadows: bool) -> None:
     """Composite a scene's volumes over its render by Cycles, or repair a composite.
 
@@ -192,8 +198,8 @@ def _copy_format(source: Any, target: Any) -> None:
 
 
 def _copy_views(
-    source: "bpy.types.bpy_prop_collection[bpy.types.SceneRenderView]",
-    target: "bpy.types.bpy_prop_collection[bpy.types.SceneRenderView]",
+    source: "bpy.types.RenderViews",
+    target: "bpy.types.RenderViews",
 ) -> None:
     """Make the views of stereoscopy and multi-view those of another scene, in the same order."""
     if [view.name for view in source] != [view.name for view in target]:

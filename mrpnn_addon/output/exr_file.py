@@ -79,7 +79,9 @@ def _block(rows: np.ndarray) -> bytes:
     return packed if len(packed) < len(raw) else raw
 
 
-def _header(names: Sequence[str], width: int, height: int, attributes: Mapping[str, int | float | str]) -> bytes:
+def _header(
+    names: Sequence[str], width: int, height: int, attributes: Mapping[str, int | float | str | list[str]]
+) -> bytes:
     names, attributes = [safe_text(name) for name in names], {safe_text(name): of for name, of in attributes.items()}
     longest = max(len(name.encode()) for name in [*names, *attributes])
     if longest > MAX_NAME_BYTES:

@@ -36,7 +36,8 @@ def write_layers(
 
     Raises OSError where the file cannot be written; no partial file is left.
     """
-    channels, attributes = {}, dict(metadata)
+    channels: dict[str, np.ndarray] = {}
+    attributes: dict[str, str | list[str] | int | float] = {**metadata}
     for view, layer in layers.items():
         for name, values in _channels(layer).items():
             channel, letter = name.rsplit(".", 1)

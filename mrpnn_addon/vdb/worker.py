@@ -13,8 +13,11 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
 
 NO_MODULE, NO_MEMORY = 77, 78
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid")
@@ -66,7 +69,7 @@ def _name(grid: Any) -> str:
         return error.object.decode("utf-8", "backslashreplace")
 
 
-def _read_grid(openvdb: Any, path: str, name: str, most_voxels: int):
+def _read_grid(openvdb: Any, path: str, name: str, most_voxels: int) -> tuple[dict, Iterator]:
     # Never readAll: it can end the whole process on unusual files.
     headers = [(_name(grid), type(grid).__name__, grid.gridClass) for grid in openvdb.readAllGridMetadata(path)]
     component = None
@@ -100,7 +103,7 @@ def _pieces(
     high: Sequence[int],
     first: Sequence[int],
     count: Sequence[int],
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+) -> "Iterator[tuple[np.ndarray, np.ndarray]]":
     """The pieces of `read_grid`, one per node. component: number of that of a vector grid, None for others."""
     import numpy
 

@@ -61,8 +61,8 @@ class ShadedGrid:
 
     def _glow(self) -> "ShadedGrid":
         """The blackbody alone, where nothing scatters or absorbs."""
-        sparse, nothing = isinstance(self.density, SparseGrid), np.zeros(3)
-        empty = self.density.with_values(0.0 * self.density.values) if sparse else np.zeros_like(self.density)
+        density, nothing = self.density, np.zeros(3)
+        empty = density.with_values(0.0 * density.values) if isinstance(density, SparseGrid) else np.zeros_like(density)
         alone = replace(self, density=empty, sigma_t=nothing, albedo=nothing, extinction=None, blackbody=None)
         return replace(alone, emission=self.blackbody, emission_power=BLACKBODY_POWER)
 
@@ -147,7 +147,7 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check: Callable[[], Non
     emission, glow, power = None, None, 1
     apart = shading.blackbody is not None and not INTERPOLATES_EMISSION
 
-    def radiance(voxels: Chunk):
+    def radiance(voxels: np.ndarray) -> np.ndarray:
         found = at(voxels)[1]
         return found.emission - found.blackbody if apart else found.emission
 
@@ -216,7 +216,11 @@ def _albedo(
 
 
 def _emission(
-    radiance, emitting, shape: tuple[int, ...], chunks: Iterable[Chunk], check: Callable[[], None]
+    radiance: Callable[[np.ndarray], np.ndarray],
+    emitting: np.ndarray | None,
+    shape: tuple[int, ...],
+    chunks: Iterable[np.ndarray],
+    check: Callable[[], None],
 ) -> np.ndarray | None:
     """float32 (nx, ny, nz, 3) of the voxels in chunks; None where all are 0.
 

@@ -177,11 +177,11 @@ class FileSource(VolumeSource):
         if shaded.extinction is not None:
             shaded.extinction = tuple(density.with_rows(channel) for channel in rows.extinction)
         if isinstance(shaded.albedo, tuple):
-            shaded.albedo = tuple(shaded.density.with_rows(channel) for channel in shaded.albedo)
+            shaded.albedo = tuple(density.with_rows(channel) for channel in rows.albedo)
         for name in ("emission", "blackbody"):
             emission = getattr(shaded, name)
             if emission is not None:
-                channels = tuple(shaded.density.with_rows(emission[..., channel]) for channel in range(3))
+                channels = tuple(density.with_rows(emission[..., channel]) for channel in range(3))
                 setattr(shaded, name, channels)
         return shaded
 
