@@ -2,16 +2,13 @@
 """The last comparison of the open file, for the panel."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-if TYPE_CHECKING:
-    from ..comparison.results import Comparison
-
-_last: tuple["Comparison", Path] | None = None
+_last: tuple[Any, Path] | None = None
 
 
-def remember(comparison: "Comparison", page: Path) -> None:
-    """Store a Comparison and the path of its report."""
+def remember(comparison: Any, page: Path) -> None:
+    """Store a `comparison.results.Comparison` and the path of its report."""
     global _last
     _last = comparison, page
 
@@ -22,6 +19,6 @@ def forget() -> None:
     _last = None
 
 
-def last_comparison() -> tuple["Comparison", Path] | None:
+def last_comparison() -> tuple[Any, Path] | None:
     """(Comparison, path of its report), or None before the first."""
     return _last

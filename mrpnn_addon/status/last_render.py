@@ -2,12 +2,20 @@
 """The last render of the open file, for the panel."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from ...inference.image.layer import Layer
+from ..objects.workload import Workload
 from .calibration import calibrate_by
 
-if TYPE_CHECKING:
-    from ..engine.render_job import Finished
+
+class Finished(Protocol):
+    """What is read of an `engine.render_job.Finished`."""
+
+    layer: Layer
+    seconds: float
+    warnings: list[str]
+    workload: Workload | None
 
 
 @dataclass
@@ -35,8 +43,8 @@ def remember(last: LastRender) -> None:
     _last = last
 
 
-def remember_finished(finished: "Finished") -> None:
-    """Store the result of an `engine.render_job.Finished`."""
+def remember_finished(finished: Finished) -> None:
+    """Store the result of a render."""
     report = finished.layer.report
     remember(
         LastRender(
