@@ -56,6 +56,8 @@ CASES = {
     ),
     "too old": ("1.9.0", "", True, ["onnxruntime 1.9.0 is too old", "remove it there"]),
 }
+# Cases that are rendered: one for each way in which the import fails.
+RENDERED = ("old runtime, another's", "an empty package", "too old")
 
 SCRIPT = """
     import json, pathlib, sys, time
@@ -90,8 +92,10 @@ SCRIPT = """
     pictures = []
     for case in json.loads((folder / "cases.json").read_text()):
         sys.path[:] = [case["site"], *searched]
-        said[case["name"]] = [check.runtime_problem(), told(bpy.ops.mrpnn.check), told(bpy.ops.mrpnn.render), shown()]
-        pictures.append(pixels())
+        said[case["name"]] = [check.runtime_problem(), told(bpy.ops.mrpnn.check)]
+        if case["rendered"]:
+            said[case["name"]] += [told(bpy.ops.mrpnn.render), shown() or None]
+            pictures.append(pixels())
         assert check.check_runtime() == [] and numpy.array_equal(pictures[0], pictures[-1])
         assert not [name for name in sys.modules if name.startswith("onnxruntime")]
     # One that loads, of another extension: its files are those of this environment.
@@ -115,6 +119,7 @@ def package(site: Path, version: str, source: str) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="what Linux says of files of other systems")
+@pytest.mark.slow
 def test_every_reason_is_told_with_what_helps_and_pictures_are_the_same(tmp_path):
     import onnxruntime
 
@@ -130,7 +135,7 @@ def test_every_reason_is_told_with_what_helps_and_pictures_are_the_same(tmp_path
     for number, (name, (number_of, source, outside, _)) in enumerate(CASES.items()):
         site = (tmp_path if outside else extensions / ".local") / str(number)
         package(site, version.get(number_of, number_of), source)
-        cases.append({"name": name, "site": str(site)})
+        cases.append({"name": name, "site": str(site), "rendered": name in RENDERED})
         if name == "a broken file":
             (site / "onnxruntime" / "onnxruntime_pybind11_state.so").write_bytes(b"\x7fELF")
         if name == "a file of another system":
@@ -155,7 +160,7 @@ def test_every_reason_is_told_with_what_helps_and_pictures_are_the_same(tmp_path
     assert f'onnxruntime {NEWER} of extension "Rival" is used' in warning
     for name, (problem, *doors) in said.items():
         # The networks run without it.
-        assert doors == [None, None, ""], name
+        assert not any(doors), (name, doors)
         for part in CASES[name][3]:
             assert part in problem, (name, problem)
         # The loader's and Python's words are on the console only.
