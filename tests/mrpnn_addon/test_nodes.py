@@ -9,6 +9,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference import SceneError
 from tests.support import glowing_plane
 from tests.support.glowing_plane import Plane, add, assert_equal_to_cycles, axes, combined, evaluated, rendered
 
@@ -319,3 +320,43 @@ def test_what_cannot_be_evaluated_is_named(addon, scene, plane):
         tree.links.new(node.outputs["Reflection" if kind == "TexCoord" else 0], emission.inputs["Color"])
         with pytest.raises(sockets.Unsupported, match=said):
             evaluated(emission)
+
+
+def shader_nodes(tree):
+    """One node of each type that Blender offers in shaders."""
+    for name in dir(bpy.types):
+        kind = getattr(bpy.types, name)
+        if isinstance(kind, type) and issubclass(kind, bpy.types.NodeInternal):
+            try:
+                yield tree.nodes.new(name)
+            except RuntimeError:
+                # Base classes, and nodes of other editors.
+                continue
+
+
+def test_every_node_of_the_menu_is_evaluated_or_named(addon, scene, plane):
+    """Each output drives the volume of a material, in turn."""
+    tree, emission, _ = plane
+    volume = tree.get_output_node("CYCLES").inputs["Volume"]
+    nodes = {name: importlib.import_module(f"mrpnn.mrpnn_addon.nodes.{name}") for name in ("material", "functions")}
+    known = {*nodes["material"].CLOSURES, *nodes["functions"].FUNCTIONS, "ShaderNodeAddShader", "ShaderNodeMixShader"}
+    points = importlib.import_module("mrpnn.mrpnn_addon.volumes.voxel_points")
+    evaluated_types, refused = set(), set()
+    for node in shader_nodes(tree):
+        for output in node.outputs:
+            if output.type == "SHADER":
+                tree.links.new(output, volume)
+            elif hasattr(output, "default_value") or output.enabled:
+                tree.links.new(emission.outputs[0], volume)
+                tree.links.new(output, emission.inputs["Strength"])
+            try:
+                nodes["material"].VolumeMaterial(bpy.data.materials["Emission"], "Volume").at(
+                    points.Probe(["density"], fills_its_bounds=False)
+                )
+                evaluated_types.add(node.bl_idname)
+            except SceneError as problem:
+                assert node.name in str(problem) and "Volume, material" in str(problem), (node.bl_idname, problem)
+                refused.add(node.bl_idname)
+    assert len(evaluated_types) > 40 and len(refused) > 30
+    # Reroutes and empty groups pass nothing on.
+    assert evaluated_types - known <= {"NodeReroute", "NodeGroupInput", "ShaderNodeGroup", "NodeFrame"}
