@@ -14,7 +14,7 @@ from ..marching.ray_steps import RayBatch, step_counts
 from ..numerics.random_walk import PLASTIC
 from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import end_rays_at_surfaces
-from ..plan.plan import Plan, last_albedo
+from ..plan.plan import last_albedo
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays, pixel_rays
 from ..scene.errors import SceneError
@@ -142,7 +142,7 @@ def estimate_march(
     if left >= right or top >= bottom:
         return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far, _ = ray_intervals(scene.plan, channel_pass.media, origins, directions, (near, far))
+    near, far = ray_intervals(channel_pass.media, origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
     batch = channel_pass.detailed(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
     steps, samples = 0, 0
@@ -227,7 +227,7 @@ def _means_around_lamps(
 
     def intervals(origins: np.ndarray, directions: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         clip = [end / cosine for end in camera.clip]
-        return ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)[:2]
+        return ray_intervals(channel_pass.media, origins, directions, clip)
 
     pixels = np.where(rays.share < 1.0, -1, columns), rows
     return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
@@ -276,8 +276,7 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
     origins, directions, *clip = pixel_rays(tile.camera, columns, rows)
     offsets = lookup_offsets(columns, rows, context.settings.seed)
-    near, far, warnings = ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
-    report.warn(warnings)
+    near, far = ray_intervals(channel_pass.media, origins, directions, clip)
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
@@ -299,29 +298,22 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
 
 
 def ray_intervals(
-    plan: Plan,
     media: Sequence[BoundMedium],
     origins: np.ndarray,
     directions: np.ndarray,
     clip: Sequence[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), and warnings.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), near > far on a miss.
 
-    near > far on a miss. clip: distances (P,) to the near and the far clipping plane. Volumes that the near plane cuts
-    cause a warning.
+    clip: distances (P,) to the near and the far clipping plane.
     """
     clip_near, clip_far = clip
-    near, far, warnings = np.full(len(origins), np.inf), np.full(len(origins), -np.inf), []
-    for (volume, _), medium in zip(plan.volumes, media):
+    near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
+    for medium in media:
         if medium.matters:
             enter, leave = medium.grid.interval(origins, directions)
-            if np.any((enter > 0.0) & (enter < clip_near) & (leave > clip_near)):
-                warnings.append(
-                    f"{volume.name}: begins before the camera's clip start and is rendered from there on; "
-                    "Cycles would not render it there at all"
-                )
             enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
             hits = enter < leave
             near[hits] = np.minimum(near[hits], enter[hits])
             far[hits] = np.maximum(far[hits], leave[hits])
-    return near, far, warnings
+    return near, far

@@ -155,7 +155,7 @@ def _meeting_rays(context: RenderContext, scene: PreparedScene, channel_pass: Ch
         size = np.maximum(np.round(np.array(scene.camera.resolution) * min(edge / longest, 1.0)), 1).astype(int)
         camera = replace(scene.camera, resolution=tuple(size.tolist()), region=None)
         origins, directions, *clip = camera_rays(camera)
-        near, far, _ = ray_intervals(scene.plan, channel_pass.media, origins, directions, clip)
+        near, far = ray_intervals(channel_pass.media, origins, directions, clip)
         meet = np.flatnonzero(near < far)
         if len(meet) >= count or edge >= min(longest, MOST_EDGE):
             break

@@ -33,11 +33,6 @@ def blur(stage):
     stage.scene.render.use_motion_blur = True
 
 
-def clipped(stage):
-    distance = stage.camera.location.length
-    stage.camera.data.clip_start, stage.camera.data.clip_end = distance - 0.1, distance + 0.5
-
-
 def panorama(stage):
     stage.camera.data.type = "PANO"
 
@@ -62,7 +57,6 @@ NAMED = {
     "Glass": glass,
     "Depth of field, motion blur": blur,
     "Panoramic camera": panorama,
-    "Clip range that begins inside a volume": clipped,
     "Anisotropy that varies with the density": varying_phase,
     "Layer Weight in the density": layer_weight,
     "Missing frame of a sequence": missing_frame,
