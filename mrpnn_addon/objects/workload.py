@@ -2,6 +2,7 @@
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,9 @@ class Workload:
     names: of the volumes. window: pixels around their boxes. pixels: those in the boxes. steps: coarse ray march steps.
     fine: those that cutting adds. opacity: mean square root of the pixels' opacity, estimated. thickness: optical
     thickness of a voxel. volumes, lights, samples: their numbers. channels: colour channels marched separately. filled:
-    share of voxels that are not 0; None where some volume has not been read.
+    share of voxels that are not 0; None where some volume has not been read. lamps, worlds: how many of the lights are
+    lamps, and the World. surfaces: whether there are any. cells: voxels along the longest edge of each box. sky:
+    seconds in which Cycles renders the World.
     """
 
     names: frozenset[str] = frozenset()
@@ -59,10 +62,17 @@ class Workload:
     samples: int = 1
     channels: int = 1
     filled: float | None = None
+    lamps: int = 0
+    worlds: int = 0
+    surfaces: bool = False
+    cells: tuple[float, ...] = ()
+    sky: float = 0.0
 
 
-def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: int, channels: int = 1) -> Workload:
-    """The work of a render; boxes may overlap."""
+def estimate_workload(
+    boxes: list[Box], camera: Camera, lights: int, samples: int, channels: int = 1, **others: Any
+) -> Workload:
+    """The work of a render; boxes may overlap. others: further fields of the Workload."""
     covered = pixels_around(boxes, camera)
     found = Workload(
         frozenset(box.name for box in boxes),
@@ -71,6 +81,8 @@ def estimate_workload(boxes: list[Box], camera: Camera, lights: int, samples: in
         lights=lights,
         samples=samples,
         channels=channels,
+        cells=tuple(box.cells for box in boxes),
+        **others,
     )
     if not found.window:
         return found

@@ -10,12 +10,14 @@ import numpy as np
 from ...inference.scene import Camera
 from ..nodes.sockets import Unsupported
 from ..objects.visibility import evaluated_world
-from ..world.lighting import constant_background
-from ..world.picture import WorldSource, world_source
+from ..world.lighting import constant_background, is_wanted
+from ..world.picture import WorldSource, is_viewed, world_source
 from ..world.process import PictureFailed
 
 # Cycles' samples for each pixel that differs from its neighbours.
 SAMPLES = 16
+# Seconds until Cycles' process has started, that it takes for the light of a World, and for a pixel behind the volumes.
+CYCLES_START, LIGHT_SECONDS, PIXEL_SECONDS = 2.5, 1.5, 4e-6
 
 
 @dataclass
@@ -80,6 +82,20 @@ def world_behind(depsgraph: "bpy.types.Depsgraph") -> np.ndarray | WorldSource:
         return constant_background(world).astype(np.float32)
     except Unsupported:
         return world_source(world, depsgraph.scene)
+
+
+def sky_seconds(depsgraph: "bpy.types.Depsgraph", camera: Camera) -> float:
+    """About how long Cycles renders the World: for the volumes, and behind them where the film is not transparent."""
+    scene, world = depsgraph.scene, evaluated_world(depsgraph)
+    light, behind = is_wanted(depsgraph), False
+    if scene.render.engine == "MRPNN" and not scene.render.film_transparent and world and _visible_to_camera(world):
+        try:
+            constant_background(world)
+        except Unsupported:
+            behind = not is_viewed(world, scene)
+    x0, y0, x1, y1 = camera.window
+    pixels = (x1 - x0) * (y1 - y0) if behind else 0
+    return CYCLES_START * (light or behind) + LIGHT_SECONDS * light + PIXEL_SECONDS * pixels
 
 
 def pixel_filter(scene: "bpy.types.Scene") -> tuple[str, float]:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...inference.plan.plan import Plan, make_plan
+from ...inference.plan.lights import predicted_suns
+from ...inference.plan.plan import Plan, make_plan, merge_parallel
 from ...inference.scene import (
     Camera,
     Environment,
@@ -107,7 +108,12 @@ class SceneDescription:
     def workload(self, depth_samples: int) -> Workload:
         """The work of a render."""
         boxes, channels = [box for box, _ in self.boxes], [channels for _, channels in self.boxes]
-        return estimate_workload(boxes, self.camera, len(self.lights), depth_samples, max(channels))
+        lamps, worlds = len(self.lamps), len(self.environments)
+        lights = len(predicted_suns(merge_parallel(self.suns))) + lamps + worlds
+        surfaces, most = bool(self.opaque), max(channels)
+        return estimate_workload(
+            boxes, self.camera, lights, depth_samples, most, lamps=lamps, worlds=worlds, surfaces=surfaces
+        )
 
     @property
     def lights(self) -> list[Sun | Lamp | Environment]:

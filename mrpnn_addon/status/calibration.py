@@ -15,7 +15,7 @@ from ..runtime.json_file import write_json
 from ..volumes.bounding_boxes import forget_densities
 from .cost_model import STAGES, Calibration, calibrate
 
-FILE = "mrpnn_speed.json"
+FILE = "mrpnn_rates.json"
 # Smaller changes of a machine's rates are not written.
 TOLERANCE = 0.1
 
@@ -35,12 +35,9 @@ def calibrate_by(workload: Workload | None, layer: Layer) -> None:
     if workload is None:
         return
     known = calibration()
-    before = dict(known.rates), known.threads
+    before = dict(known.rates)
     calibrate(known, workload, layer.report, layer.alpha)
-    rates, threads = before
-    if threads != known.threads or any(
-        abs(rate - rates.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()
-    ):
+    if any(abs(rate - before.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()):
         _write(known)
 
 
@@ -76,8 +73,8 @@ def _read() -> Calibration:
         with open(_path()) as file:
             found = json.load(file)
         rates = {stage: float(found["rates"][stage]) for stage in STAGES if stage in found["rates"]}
-        if all(0.0 < rate < math.inf for rate in rates.values()) and int(found["threads"]) > 0:
-            return Calibration(rates=rates, threads=int(found["threads"]))
+        if all(0.0 < rate < math.inf for rate in rates.values()):
+            return Calibration(rates=rates)
     except (OSError, ValueError, TypeError, KeyError):
         # The file is missing, or was written by another version.
         pass
@@ -88,7 +85,7 @@ def _write(known: Calibration) -> None:
     path = _path()
     try:
         if path:
-            write_json(path, {"rates": known.rates, "threads": known.threads})
+            write_json(path, {"rates": known.rates})
     except SceneError:
         # Calibration is optional: ignore folders that cannot be written to.
         pass

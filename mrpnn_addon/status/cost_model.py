@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates render time from a render's work and from earlier renders; imports no bpy.
 
-A render marches camera rays, evaluates the network at points along them, and prepares fields of each volume and light.
-`Workload` counts these from bounding boxes; constants convert them to seconds. What boxes do not show (how much of them
-is empty, how much of the image is opaque) is calibrated by the last render of the same volumes, and the machine's speed
-by the last render of any.
+A render reads volumes, marches camera rays, evaluates the network at points along them, and prepares fields of each
+volume and light. `Workload` counts these from bounding boxes; constants convert them to seconds. What boxes do not show
+(how much of them is empty, how much of the image is opaque) is calibrated by the last render of the same volumes, and
+the machine's speed by the last render of any.
 """
 
 import math
@@ -15,23 +15,23 @@ import numpy as np
 from ...inference.runtime.report import Report
 from ..objects.workload import Workload
 
-# Seconds on two cores of a 2020 desktop. Per step evaluated, and per step, light and volume; the second value applies
-# where light is integrated within optically thick voxels.
-STEP, STEP_LIGHT, STEP_LIGHT_THICK = 2.0e-8, 1.0e-8, 2.5e-8
-# Seconds per pixel and per point, for each light.
-PIXEL, POINT = 0.9e-6, 1.6e-6
-# Seconds per volume, and per volume and light.
-VOLUME, FIELD = 0.25, 0.3
-# Optical thickness of a voxel above which light is integrated within it.
-THICK = 0.35
-CORES = 2
-# Speed-up grows with this power of the number of cores.
-SCALING = 0.9
+# All constants are processor seconds of a desktop of 2020, see `benchmarks.cost.forecast`.
+# Of each step evaluated in a volume, and of each in the light of a sun and of a lamp.
+STEP, STEP_SUN, STEP_LAMP = 6.0e-8, 6.0e-8, 2.0e-7
+# Of each pixel and light, and of each point at which the network is evaluated for a sun, a lamp and the World.
+PIXEL, POINT_SUN, POINT_LAMP, POINT_WORLD = 1.0e-6, 1.5e-5, 2.0e-5, 3.0e-5
+# Of each volume, and of the coarse transport and lattices in it of a sun, a lamp and the World; of surfaces, which
+# shadow the volumes and throw light into them.
+VOLUME, FIELD_SUN, FIELD_LAMP, FIELD_WORLD, SURFACES = 0.25, 0.6, 1.4, 0.5, 1.7
+# Of reading a volume, and of each voxel in it, of so many cells of its box at most.
+READ, VOXEL, MOST_CELLS = 0.4, 3.0e-8, 512.0
+# The parallel parts speed up with this power of the number of threads, the fields with that.
+SCALING, FIELD_SCALING = 0.9, 0.6
 # Shares before any render or reading: of steps that are evaluated, of pixels in a box that show density.
-EVALUATED, VISIBLE = 0.25, 0.5
+EVALUATED, VISIBLE = 0.4, 0.75
 # Share of points at which the network is evaluated, for one depth sample and so many pixels with density. The others
 # are interpolated: more of them in larger images and at fewer depth samples.
-QUERIED, QUERIED_PIXELS, QUERIED_BY_PIXELS, QUERIED_BY_SAMPLES = 0.5, 20_000, -0.4, 0.2
+QUERIED, QUERIED_PIXELS, QUERIED_BY_PIXELS, QUERIED_BY_SAMPLES = 0.2, 20_000, -0.4, 0.2
 # Stages shorter than this do not calibrate the machine's speed.
 SHORTEST = 0.1
 STAGES = ("march", "network", "fields")
@@ -54,27 +54,24 @@ class Calibration:
     """Results of earlier renders.
 
     shares: by the names of the volumes. rates: measured over modelled seconds by stage; empty before the first render.
-    threads: of the render that set the rates.
     """
 
     shares: dict[frozenset[str], Shares] = field(default_factory=dict)
     rates: dict[str, float] = field(default_factory=dict)
-    threads: int = CORES
 
 
 def estimate_seconds(workload: Workload, threads: int, known: Calibration) -> float:
-    """Estimated wall-clock seconds."""
+    """Estimated wall-clock seconds, from reading the scene to the end; with one thread, processor seconds."""
     shares = _shares(workload, known)
     evaluated = (workload.steps * shares.evaluated + workload.fine) * workload.channels
-    taken = _seconds(workload, evaluated, *_points(workload, shares))
-    total = sum(seconds * known.rates.get(stage, 1.0) for stage, seconds in taken.items())
-    return total * (known.threads / max(threads, 1)) ** SCALING
+    taken = _seconds(workload, evaluated, *_points(workload, shares), threads)
+    return _reading(workload) + sum(seconds * known.rates.get(stage, 1.0) for stage, seconds in taken.items())
 
 
 def calibrate(known: Calibration, workload: Workload, report: Report, alpha: np.ndarray) -> None:
     """Update a calibration. workload: the render's work. report: its report. alpha: (H, W), its opacity."""
     count = report.counts.get
-    lights, evaluated = max(count("suns", 0) + count("environments", 0), 1), count("steps evaluated", 0)
+    lights, evaluated = max(workload.lights, 1), count("steps evaluated", 0)
     if not evaluated or not workload.steps or not workload.lights:
         return
     opaque, channels = alpha[alpha > 0.0], workload.channels
@@ -88,13 +85,9 @@ def calibrate(known: Calibration, workload: Workload, report: Report, alpha: np.
     if 0 < count("network points", 0) < count("network points wanted", 0) and points:
         shares.queried = count("network points", 0) / (points * lights)
     known.shares[workload.names] = shares
-    expected = _seconds(workload, evaluated, pixels, points * shares.queried)
+    expected = _seconds(workload, evaluated, pixels, points * shares.queried, report.threads)
     took = {stage: report.seconds.get(stage, 0.0) for stage in STAGES}
-    took["fields"] += report.seconds.get("shadows", 0.0)
-    scale = (known.threads / max(report.threads, 1)) ** SCALING
-    # Rates that this render does not update still apply, rescaled to its number of threads.
-    known.rates = {stage: rate * scale for stage, rate in known.rates.items()}
-    known.threads = max(report.threads, 1)
+    took["fields"] += sum(report.seconds.get(stage, 0.0) for stage in ("shadows", "surfaces", "light paths"))
     for stage, seconds in took.items():
         if seconds > SHORTEST:
             known.rates[stage] = seconds / expected[stage]
@@ -128,12 +121,21 @@ def _points(workload: Workload, shares: Shares) -> tuple[float, float]:
     return pixels, points * min(share, 1.0) * shares.queried
 
 
-def _seconds(workload: Workload, evaluated: float, pixels: float, points: float) -> dict[str, float]:
-    """Modelled seconds by stage."""
-    thick, each = workload.thickness > THICK, workload.lights * max(workload.volumes, 1)
-    light = STEP_LIGHT_THICK if thick else STEP_LIGHT
+def _seconds(workload: Workload, evaluated: float, pixels: float, points: float, threads: int) -> dict[str, float]:
+    """Modelled wall-clock seconds by stage."""
+    volumes, lamps, worlds = max(workload.volumes, 1), workload.lamps, workload.worlds
+    suns = workload.lights - lamps - worlds
+    parallel, fields = max(threads, 1) ** SCALING, max(threads, 1) ** FIELD_SCALING
+    step = STEP * math.sqrt(volumes) + volumes * (STEP_SUN * suns + STEP_LAMP * lamps)
+    point = POINT_SUN * suns + POINT_LAMP * lamps + POINT_WORLD * worlds
+    field = FIELD_SUN * suns + FIELD_LAMP * lamps + FIELD_WORLD * worlds
     return {
-        "march": evaluated * (STEP * math.sqrt(max(workload.volumes, 1)) + light * each),
-        "network": workload.lights * (PIXEL * pixels + POINT * points),
-        "fields": VOLUME * workload.volumes + FIELD * each,
+        "march": evaluated * step / parallel,
+        "network": (PIXEL * workload.lights * pixels + point * points) / parallel,
+        "fields": (volumes * (VOLUME + field) + SURFACES * workload.surfaces) / fields,
     }
+
+
+def _reading(workload: Workload) -> float:
+    """Seconds in which the volumes are read and filled, and Cycles renders the sky."""
+    return workload.sky + sum(READ + VOXEL * min(cells, MOST_CELLS) ** 3 for cells in workload.cells)

@@ -3,6 +3,7 @@
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -10,13 +11,14 @@ import numpy as np
 from ...inference.plan.lights import predicted_suns
 from ...inference.plan.plan import merge_parallel
 from ...inference.scene import SceneError, Sun
-from ..nodes.material import shows_volume
+from ..nodes.material import SURFACES, shows_volume
 from ..objects.camera import read_camera
 from ..objects.lights import read_lamp, read_suns
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.views import wanted_views
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
 from ..objects.workload import estimate_workload
+from ..scene.film import sky_seconds
 from ..settings.properties import scene_settings
 from ..volumes.bounding_boxes import box_around
 from ..world.lighting import lights_volumes
@@ -61,7 +63,7 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     settings = scene_settings(depsgraph.scene).settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        boxes, channels, lamps, lights, placed = [], 1, 0, [], 0
+        boxes, channels, lamps, lights, placed, surfaces = [], 1, 0, [], 0, False
         for shown in visible_objects(depsgraph):
             if shows_volume(shown.object):
                 if not (
@@ -78,11 +80,15 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
                 lights += suns
                 placed += others
                 warnings += noted
+            elif shown.object.type in SURFACES:
+                surfaces = True
         world = lights_volumes(depsgraph.scene.world)
+        sky = sky_seconds(depsgraph, camera)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
     count = len(predicted_suns(merge_parallel(lights))) + placed + world
-    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels)
+    more: dict[str, Any] = {"lamps": placed, "worlds": int(world), "surfaces": surfaces, "sky": sky}
+    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels, **more)
     points = workload.window * settings.depth_samples * count
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
     seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)

@@ -18,16 +18,21 @@ from .process import PictureFailed
 from .sphere import Sphere
 
 
-def wanted_world(depsgraph: "bpy.types.Depsgraph") -> list[WorldSource]:
-    """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
+def is_wanted(depsgraph: "bpy.types.Depsgraph") -> bool:
+    """Whether Cycles has to render the World before `read_world` knows its light."""
     scene, world = depsgraph.scene, evaluated_world(depsgraph)
     if world is None or not _visible_to_volumes(world):
-        return []
+        return False
     try:
         _radiance(world, active_output(world), Sphere(1, images=False))
     except Unsupported:
-        return [] if is_known(world, scene) else [world_source(world, scene)]
-    return []
+        return not is_known(world, scene)
+    return False
+
+
+def wanted_world(depsgraph: "bpy.types.Depsgraph") -> list[WorldSource]:
+    """Sources that Cycles has to render before `read_world` knows the World's light: one or none."""
+    return [world_source(evaluated_world(depsgraph), depsgraph.scene)] if is_wanted(depsgraph) else []
 
 
 def read_world(

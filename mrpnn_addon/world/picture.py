@@ -108,6 +108,11 @@ class WorldSource:
             raise PictureFailed(f'image "{self._unsaved}" has unsaved changes; save or pack it')
         return self._process.ask(job, check, seconds)
 
+    @property
+    def viewed(self) -> bool:
+        """Whether any view is cached."""
+        return bool(self._views)
+
     def stop(self) -> None:
         """End its process."""
         self._process.stop()
@@ -131,6 +136,12 @@ def world_source(world: "bpy.types.World", scene: "bpy.types.Scene") -> WorldSou
 def is_known(world: "bpy.types.World", scene: "bpy.types.Scene") -> bool:
     """Whether `world_picture` is cached."""
     return _key(world, scene) in _known
+
+
+def is_viewed(world: "bpy.types.World", scene: "bpy.types.Scene") -> bool:
+    """Whether any camera's view of a World is cached."""
+    source = _sources.get(_key(world, scene))
+    return source is not None and source.viewed
 
 
 def world_picture(

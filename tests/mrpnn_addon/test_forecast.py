@@ -8,6 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from benchmarks.cost import forecast as forecasts
 from inference import render
 from tests.support import blender_scenes
 
@@ -141,6 +142,41 @@ def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
     assert 0.45 * taken < said().seconds < 0.75 * taken
 
 
+# Glowing fire and overlapping clouds besides, in the benchmark.
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cloud, grey World",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in (
+                "fog in a cube, three spots",
+                "camera in smoke, grey World",
+                "cloud over a floor, grey World",
+                "two clouds, a point lamp",
+            )
+        ),
+    ],
+)
+def test_the_estimate_of_a_new_scene_errs_by_a_factor_of_two_at_most(addon, scene, name):
+    """In processor seconds of one thread, which other programs on the machine do not change."""
+    said, took = forecasts.compare(addon, name, (160, 90), 4)
+    assert 0.5 < said / took < 2.0
+
+
+def test_an_estimate_knows_of_a_sky_that_cycles_renders(addon, scene, cloud, said):
+    scene.render.engine, scene.render.film_transparent = "MRPNN", False
+    tree = scene.world.node_tree
+    tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    plain = said().seconds
+    sky = tree.nodes.new("ShaderNodeTexSky")
+    tree.links.new(sky.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    light_and_background = said().seconds
+    scene.render.film_transparent = True
+    light = said().seconds
+    assert plain + 1.0 < light <= light_and_background
+
+
 def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, said, tmp_path):
     scene.render.resolution_percentage = 400
     bpy.ops.mrpnn.render()
@@ -150,7 +186,7 @@ def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, sa
     calibration.forget()
     assert calibration.calibration().rates.keys() == rates.keys() and not calibration.calibration().shares
     # A damaged file counts as none.
-    for text in ("{", "[]", '{"rates": {"march": -1}, "threads": 2}'):
+    for text in ("{", "[]", '{"rates": {"march": -1}}'):
         (tmp_path / calibration.FILE).write_text(text)
         calibration.forget()
         assert calibration.calibration().rates == {}

@@ -63,7 +63,7 @@ def test_the_first_picture_is_a_part_of_the_progress_and_of_the_times(addon, sce
     described = addon.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph())
     shown, module = Pictures(), addon.mrpnn_addon.engine.render_job
     before = time.process_time()
-    finished = module.render_scene(described, scene.mrpnn.settings(), None, shown.progress, None, shown)
+    finished = module.render_scene(described, scene.mrpnn.settings(), None, shown.progress, None, {"": shown})
     used = time.process_time() - before
     middle = shown.steps.index("coarse")
     first, second = shown.steps[:middle], shown.steps[middle + 1 :]
