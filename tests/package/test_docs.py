@@ -19,7 +19,8 @@ def page(name):
 
 def named(properties):
     """UI names of a class's own properties."""
-    return [made.keywords["name"] for made in properties.__annotations__.values() if "name" in made.keywords]
+    keywords = [getattr(made, "keywords", {}) for made in properties.__annotations__.values()]
+    return [named["name"] for named in keywords if "name" in named]
 
 
 def test_every_setting_has_a_row(addon):

@@ -276,3 +276,10 @@ def test_loading_another_file_clears_the_former_ones_messages(two, interface):
     assert two.do("print(said('last_render'), said('scene_check'))") == "None None"
     two.do("gc.collect()")
     assert two.do(f"print({STATUS})") == ""
+
+
+def test_exposure_counts_at_once(two):
+    two.do("scene.cycles.film_exposure = 0.0")
+    until_shown(two, (False, False))
+    two.do("scene.cycles.film_exposure = 1.0")
+    until_shown(two, (True, True))
