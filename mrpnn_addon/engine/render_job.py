@@ -25,6 +25,8 @@ from .steps import Steps, Tell
 
 # Pixels of the first picture, which appears within about a second.
 COARSE_PIXELS = 8000
+# A picture with at least this alpha and at most this radiance is black to the eye.
+OPAQUE, BLACK = 0.99, 1e-3
 
 
 @dataclass
@@ -87,9 +89,24 @@ def render_scene(
         ) from None
     reports = [layer.report for _, layer in layers]
     warnings = [*scene.warnings, *(text for report in reports for text in report.warnings), *runtime_warnings]
+    warnings += [text for view, layer in layers for text in _dark(scene, view.camera, layer)]
     workload = scene.workload(settings.depth_samples) if scene.volumes else None
     seconds = time.perf_counter() - started
     return Finished(layers[0][1], seconds, list(dict.fromkeys(warnings)), workload, layers, files)
+
+
+def _dark(scene: SceneDescription, camera: Camera, layer: Layer) -> list[str]:
+    """A warning where the camera is inside a volume and sees nothing but black."""
+    if not scene.lights or layer.alpha.min(initial=1.0) < OPAQUE or layer.rgb.max(initial=0.0) > BLACK:
+        return []
+    for volume, _ in scene.volumes:
+        index = np.linalg.solve(volume.world_from_index, camera.world_matrix[:, 3])[:3]
+        if np.all(index > -0.5) and np.all(index < np.array(volume.density.shape) - 0.5):
+            return [
+                f'the camera is inside volume "{volume.name}", which is so dense there that the picture is black; move '
+                "the camera out of it, or lower its Density"
+            ]
+    return []
 
 
 def _share(progress: Tell, number: int, count: int) -> Tell:
