@@ -9,6 +9,7 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ...inference.scene.phase_function import PhaseFunction
+from .clear_surface import shows_no_surface
 from .emission import blackbody, reads_temperature, strength_and_colour
 from .evaluation import NodeEvaluator
 from .phase_functions import phase_function
@@ -73,7 +74,7 @@ class VolumeMaterial:
 
     def __init__(self, material: "bpy.types.Material | None", where: str) -> None:
         self.where = where if material is None else f'{where}, material "{material.name}"'
-        self.output = None
+        self.output, self._notes = None, []
         if material is None:
             return
         self.output = active_output(material)
@@ -81,8 +82,8 @@ class VolumeMaterial:
             self.refuse("it has no nodes, so the volume is invisible; add a Principled Volume node")
         if not self.output.inputs["Volume"].is_linked:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
-        if self.output.inputs["Displacement"].is_linked:
-            self.refuse("displacement of volumes is not supported; unlink it")
+        if not shows_no_surface(self.output):
+            self._notes.append("its surface shader is not rendered; unlink it")
         self.output = snapshot(material.node_tree, self.output)
 
     def refuse(self, problem: Exception | str, kind: type[SceneError] = SceneError) -> NoReturn:
@@ -91,7 +92,7 @@ class VolumeMaterial:
 
     def at(self, points: Any) -> Shading:
         """The shading at `points`, an instance of one of the classes of `volumes.voxel_points`."""
-        shading = Shading()
+        shading = Shading(notes=list(self._notes))
         try:
             if self.output is None:
                 # Cycles' default material: Principled Volume with its default values.
@@ -141,7 +142,7 @@ def is_animated(material: "bpy.types.Material | None") -> bool:
 
 def shows_volume(shown: "bpy.types.Object") -> bool:
     """Whether Cycles renders an object as a volume: a Volume object, or a mesh whose materials all have a volume and no
-    surface. Baked light is none: it belongs to a volume.
+    surface, or one that lets all light pass. Baked light is none: it belongs to a volume.
     """
     if shown.type == "VOLUME":
         return shown.get(LIGHT_MARK) is None
@@ -149,12 +150,17 @@ def shows_volume(shown: "bpy.types.Object") -> bool:
 
 
 def only_volume(shown: "bpy.types.Object") -> bool:
-    """Whether an object has materials and all of them have a volume and no surface."""
+    """Whether an object has materials and all of them have a volume and no visible surface."""
     outputs: list[Node | None] = [material and active_output(material) for material in materials(shown)]
     return bool(outputs) and all(
-        output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked
-        for output in outputs
+        output is not None and output.inputs["Volume"].is_linked and shows_no_surface(output) for output in outputs
     )
+
+
+def has_volume(material: "bpy.types.Material") -> bool:
+    """Whether anything is linked to a material's volume."""
+    output = active_output(material)
+    return output is not None and output.inputs["Volume"].is_linked
 
 
 def _add(shading: Shading, values: NodeEvaluator, source: Source, weight: np.ndarray) -> None:

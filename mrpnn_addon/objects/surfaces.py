@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ...inference.scene import SceneError, Surface
-from ..nodes.material import MESHES, materials, only_volume
+from ..nodes.material import MESHES, has_volume, materials, only_volume
 from ..nodes.sockets import Source, Unsupported, active_output, input_of, source_of
 from ..nodes.surface_colour import SurfaceColour, surface_colour
 from .ignored_settings import SHINING, ignored_settings
@@ -70,6 +70,11 @@ def read_surface(
     if not (covers or shades or stops):
         return None, []
     if any(_is_transparent(material) for material in materials(shown.object)):
+        if any(material and has_volume(material) for material in materials(shown.object)):
+            return None, [
+                f"{where} is transparent and left out, and so is the volume inside; to render the volume, unlink its "
+                "surface, or link a white Transparent BSDF"
+            ]
         return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
     # Blender's list of instances reuses one object for all of them; its data is each one's own.
     key = (shown.object.data.name_full, shown.object.data.as_pointer())

@@ -41,7 +41,7 @@ from ..objects.workload import Box, Workload, estimate_workload
 from ..runtime.text import utf8_names
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
-from ..world.lighting import read_world, surface_light_warnings
+from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
 from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
 
@@ -216,7 +216,7 @@ def _tell_empty(description: SceneDescription, objects: "Iterable[bpy.types.Obje
         warning for warning in description.warnings if not any(warning.startswith(reason) for reason in unseen)
     ]
     hidden = sorted({f'"{shown.name}"' for shown in objects if shows_volume(shown)})
-    reasons = unseen or ([f"volume {' and '.join(hidden)} shows nothing"] if hidden else [NO_VOLUME])
+    reasons = unseen or ([f"volume {' and '.join(hidden)} shows nothing"] if hidden else [_no_volume(description)])
     description.warnings.append(f"frame {description.frame} is an empty picture: {'; '.join(reasons)}")
 
 
@@ -311,7 +311,12 @@ def require_volumes(description: SceneDescription) -> None:
     """Raises SceneError, with the reasons, where no volume is left."""
     if not description.volumes:
         reasons = "; ".join(description.unseen)
-        raise SceneError(f"no volume is left to render: {reasons}" if reasons else NO_VOLUME)
+        raise SceneError(f"no volume is left to render: {reasons}" if reasons else _no_volume(description))
+
+
+def _no_volume(description: SceneDescription) -> str:
+    """Why nothing is rendered where no object shows a volume; names a World that does."""
+    return "; ".join([NO_VOLUME, *(text for text in description.warnings if text.endswith(WORLD_FOG))])
 
 
 def require_all(description: SceneDescription) -> None:

@@ -17,6 +17,9 @@ from .picture import WorldSource, is_known, view_coordinates, world_picture, wor
 from .process import PictureFailed
 from .sphere import Sphere
 
+#: Of a World with a volume, after its name.
+WORLD_FOG = "its fog is not rendered; a large cube around the scene, with the same volume shader, is"
+
 
 def is_wanted(depsgraph: "bpy.types.Depsgraph") -> bool:
     """Whether Cycles has to render the World before `read_world` knows its light."""
@@ -52,7 +55,7 @@ def read_world(
     warnings = ignored_settings(world, WORLD, name)
     output = active_output(world)
     if output is not None and source_of(output.inputs["Volume"]).node is not None:
-        warnings.append(f"{name}: its fog is not rendered")
+        warnings.append(f"{name}: {WORLD_FOG}")
     if not _visible_to_volumes(world):
         return [], [], warnings
     sphere = Sphere()

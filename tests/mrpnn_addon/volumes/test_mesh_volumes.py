@@ -162,3 +162,66 @@ def test_a_mesh_with_a_surface_is_no_volume(addon, scene, tmp_path):
     described = read(addon)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
     assert any('"Glass" is transparent' in warning for warning in described.warnings)
+
+
+SURFACES = {
+    # Nodes, values of their inputs, and whether Cycles shows the fog alone.
+    "transparent": ([("BsdfTransparent", {})], True),
+    "mixed": ([("MixShader", {0: 0.3}), ("BsdfTransparent", {}), ("BsdfTransparent", {})], True),
+    "nothing of it mixed": ([("MixShader", {0: 0.0}), ("BsdfTransparent", {}), ("BsdfDiffuse", {})], True),
+    "added to nothing": ([("AddShader", {}), ("BsdfTransparent", {})], True),
+    "an empty mix": ([("MixShader", {})], True),
+    "alpha 0": ([("BsdfPrincipled", {"Alpha": 0.0})], True),
+    "no emission": ([("Emission", {"Strength": 0.0})], True),
+    "tinted": ([("BsdfTransparent", {"Color": (0.5, 0.5, 0.5, 1.0)})], False),
+    "half transparent": ([("MixShader", {0: 0.5}), ("BsdfTransparent", {}), ("BsdfDiffuse", {})], False),
+    "holdout": ([("Holdout", {})], False),
+}
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_a_surface_that_lets_all_light_pass_is_none(addon, scene, tmp_path, surface):
+    nodes, clear = SURFACES[surface]
+    _, fog = add_mesh(scene, ball, Density=0.6, Color=(0.0, 0.0, 0.0, 1.0))
+    lit(scene, ortho_scale=3.0)
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    alone = blender_scenes.render_cycles(scene, tmp_path, samples=16)
+    tree = fog.id_data
+    output, made = tree.get_output_node("CYCLES"), []
+    for name, values in nodes:
+        made.append(tree.nodes.new(f"ShaderNode{name}"))
+        for socket, value in values.items():
+            made[-1].inputs[socket].default_value = value
+    tree.links.new(made[0].outputs[0], output.inputs["Surface"])
+    for part, socket in zip(made[1:], [one for one in made[0].inputs if one.type == "SHADER"]):
+        tree.links.new(part.outputs[0], socket)
+    # Cycles displaces no volume.
+    tree.links.new(tree.nodes.new("ShaderNodeDisplacement").outputs[0], output.inputs["Displacement"])
+    assert np.allclose(blender_scenes.render_cycles(scene, tmp_path, samples=16), alone, atol=1e-4) == clear
+    if clear:
+        described = read(addon)
+        assert [volume.name for volume, _ in described.volumes] == ["Fog"] and not described.warnings
+    else:
+        bpy.ops.mesh.primitive_cube_add(size=0.1)
+        blender_scenes.add_fog(bpy.context.object.data, "Other", "ShaderNodeVolumePrincipled")
+        described = read(addon)
+        assert any('"Fog" is transparent' in text and "volume inside" in text for text in described.warnings)
+
+
+def test_a_world_of_fog_alone_is_named_with_what_is_rendered(addon, scene):
+    lit(scene)
+    tree = scene.world.node_tree
+    tree.links.new(
+        tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], tree.get_output_node("CYCLES").inputs["Volume"]
+    )
+    with pytest.raises(SceneError, match='World "World": its fog is not rendered; a large cube'):
+        read(addon)
+
+
+@pytest.mark.parametrize("density", [0.1, 1000.0])
+def test_a_camera_in_smoke_whose_picture_is_black_is_told_so(addon, scene, density):
+    add_mesh(scene, cube, Density=density, Color=(0.2, 0.2, 0.2, 1.0))
+    lit(scene, location=(0.0, 0.0, 0.0))
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    finished = addon.mrpnn_addon.engine.render_job.render_scene(read(addon), Settings(depth_samples=1))
+    assert any("inside volume" in text and "black" in text for text in finished.warnings) == (density > 1.0)
