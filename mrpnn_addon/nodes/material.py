@@ -51,17 +51,22 @@ class Shading:
     """All shaders of a material at n points.
 
     closures: those that scatter or absorb. emission: (n, 3) or (1, 3), their sum. blackbody: as of Closure. notes:
-    deviations from Cycles.
+    deviations from Cycles, and what it reads that is missing, which `missing` holds alone.
     """
 
     closures: list[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     notes: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
     blackbody: np.ndarray | None = None
 
 
 class EmptyMaterial(SceneError):
     """A material that neither scatters, absorbs nor emits."""
+
+
+class MissingGrids(EmptyMaterial):
+    """A material that leaves the volume empty because grids that it reads, which the message tells, do not exist."""
 
 
 class VolumeMaterial:
@@ -102,6 +107,10 @@ class VolumeMaterial:
                 _add(shading, NodeEvaluator(points), source_of(input_of(self.output, "Volume")), np.ones((1, 1)))
         except Unsupported as problem:
             self.refuse(problem)
+        for name, node in points.missing.items():
+            reads = "the default material" if node is None else f'node "{node.name}"'
+            shading.missing.append(f"{reads} reads {points.absent(name)}")
+        shading.notes += [f"{missing}; it counts as 0, as in Cycles" for missing in shading.missing]
         return shading
 
 
@@ -199,15 +208,19 @@ def _principled(shading: Shading, values: NodeEvaluator, node: Node, groups: Gro
     glow = blackbody(values, node, groups, names["Temperature"])
     emission = emission + glow
     hot = glow if reads_temperature(values, node, groups, names["Temperature"]) else None
+    points: Any = values.points
+    if glow.any() and names["Temperature"] and hot is None and not points.fills_its_bounds:
+        _leaves_unchanged(shading, points, node, "Temperature", names["Temperature"])
     shaped = density.shape[0] > 1 or values.is_linked(node, "Density", groups)
     if not shaped and not density.max() > 0.0:
         return Closure(np.ones((1, 1)), np.zeros((1, 3)), np.zeros((1, 3)), emission=emission, blackbody=hot)
     colour = np.maximum(values.colour(node, "Color", groups), 0.0)
-    points: Any = values.points
     if names["Color"] and points.has(names["Color"]):
         colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
-    # A missing attribute leaves Density unchanged. In a Volume object that would fill the boxes that Cycles draws
-    # around voxels: reading the attribute then raises an error that names it.
+    elif names["Color"]:
+        _leaves_unchanged(shading, points, node, "Color", names["Color"])
+    # A missing attribute leaves Density unchanged in meshes. In a Volume object Cycles would fill boxes around the
+    # voxels of other grids: reading the attribute gives 0 instead.
     weight, grid = np.ones((1, 1)), ""
     if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
         found = points.attribute(names["Density"], node)
@@ -222,6 +235,12 @@ def _principled(shading: Shading, values: NodeEvaluator, node: Node, groups: Gro
         scatter, absorb = scatter * density, absorb * density
     phase, varies = _phase(shading, values, node, groups, weight * scatter)
     return Closure(weight, scatter, absorb, phase, grid, emission, hot, varies)
+
+
+def _leaves_unchanged(shading: Shading, points: Any, node: Node, socket: str, name: str) -> None:
+    shading.notes.append(
+        f'node "{node.name}" reads {points.absent(name)}; its {socket} is the same everywhere, as in Cycles'
+    )
 
 
 def principled_coefficients(colour: np.ndarray, absorption: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

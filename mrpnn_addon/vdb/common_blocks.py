@@ -11,8 +11,8 @@ from ...inference.scene.sparse_grid import EDGE, SparseGrid, blocks_of
 class CommonBlocks:
     """Grids by name, SparseGrids and arrays, placed in a common box.
 
-    offsets: int (3,) by name, position of each grid in the box. shape: (3,) voxels of the box. arrays: float32 (K, 8,
-    8, 8) by name.
+    offsets: int (3,) by name, position of each grid in the box. shape: (3,) voxels of the box. backgrounds: values
+    outside the grids, by name. arrays: float32 (K, 8, 8, 8) by name.
 
     Raises ValueError where blocks of SparseGrids overlap partially.
     """
@@ -22,6 +22,7 @@ class CommonBlocks:
         grids: dict[str, np.ndarray | SparseGrid],
         offsets: Mapping[str, np.ndarray],
         shape: Sequence[int] | np.ndarray,
+        backgrounds: Mapping[str, float],
     ) -> None:
         starts = [offsets[name] - grid.first for name, grid in grids.items() if isinstance(grid, SparseGrid)]
         self.origin = -(-starts[0] % EDGE) if starts else np.zeros(3, int)
@@ -30,7 +31,7 @@ class CommonBlocks:
         count = -(-(np.array(shape) - self.origin) // EDGE)
         found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         for name, grid in grids.items():
-            places, values = _blocks(grid, offsets[name] - self.origin)
+            places, values = _blocks(grid, offsets[name] - self.origin, backgrounds[name])
             found[name] = np.ravel_multi_index(tuple(places.T), count), values
         self._alone: SparseGrid | None = None
         if len(found) == 1:
@@ -40,7 +41,8 @@ class CommonBlocks:
             self._alone = only if isinstance(only, SparseGrid) else None
         else:
             numbers = np.unique(np.concatenate([part for part, _ in found.values()]))
-            self.arrays = {name: np.zeros((len(numbers), EDGE, EDGE, EDGE), np.float32) for name in found}
+            shape_of_blocks = len(numbers), EDGE, EDGE, EDGE
+            self.arrays = {name: np.full(shape_of_blocks, backgrounds[name], np.float32) for name in found}
             for name, (part, values) in found.items():
                 self.arrays[name][np.searchsorted(numbers, part)] = values
         self.corners = EDGE * np.stack(np.unravel_index(numbers, count), axis=1) + self.origin
@@ -59,8 +61,8 @@ class CommonBlocks:
         return self._frame.with_rows(values)
 
 
-def _blocks(grid: np.ndarray | SparseGrid, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions int (n, 3) and values float32 (n, 8, 8, 8) of the blocks in which a grid is not 0.
+def _blocks(grid: np.ndarray | SparseGrid, offset: np.ndarray, background: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions int (n, 3) and values float32 (n, 8, 8, 8) of the blocks in which a grid is not its background.
 
     offset: int (3,), position of the grid in the box.
     """
@@ -70,7 +72,7 @@ def _blocks(grid: np.ndarray | SparseGrid, offset: np.ndarray) -> tuple[np.ndarr
         return places[order] + (offset - grid.first) // EDGE, grid.values[1:]
     first = offset // EDGE
     last = -(-(offset + grid.shape) // EDGE)
-    padded = np.pad(grid, [(o - EDGE * a, EDGE * b - o - n) for o, a, b, n in zip(offset, first, last, grid.shape)])
-    values = blocks_of(padded)
-    held = np.flatnonzero(values.any(axis=(1, 2, 3)))
+    around = [(o - EDGE * a, EDGE * b - o - n) for o, a, b, n in zip(offset, first, last, grid.shape)]
+    values = blocks_of(np.pad(grid, around, constant_values=background))
+    held = np.flatnonzero((values != np.float32(background)).any(axis=(1, 2, 3)))
     return np.stack(np.unravel_index(held, last - first), axis=1) + first, values[held]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One density grid of one .vdb file. Any thread may read it: bpy is only imported."""
+"""One grid of one .vdb file. Any thread may read it: bpy is only imported."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ import numpy as np
 from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import SparseGrid
 from .openvdb_module import load_openvdb
-from .process import read_in_process
+from .process import BY_LEAF, read_in_process
 from .worker import COMPONENTS, LEAF, SCALAR_GRIDS, VECTOR_GRIDS, read_grid
 
 # Limit of voxels in an array, and in leaves that are not empty: 2 GiB as float32.
@@ -33,28 +33,36 @@ VOXEL_CENTRE = 0.5 if bpy.app.version < (5, 0, 0) else 0.0
 
 
 class EmptyGrid(SceneError):
-    """A grid without a positive voxel."""
+    """A grid whose voxels are all 0."""
 
 
 @dataclass
 class DensityGrid:
-    """A grid of density in object space.
+    """A grid in object space.
 
-    density: float32 (nx, ny, nz), the active bounding box, or a SparseGrid; finite, >= 0 and read-only.
+    density: float32 (nx, ny, nz), the active bounding box or more where inactive voxels are shown, or a SparseGrid, in
+        whose blocks that are not stored all is the background; finite and read-only.
     low: int (3,), the file's index of its first voxel.
     object_from_index: float64 (4, 4), from index of `density` to object space.
+    background: the value outside.
     warnings: changes made to the data, naming the object.
     """
 
     density: np.ndarray | SparseGrid
     object_from_index: np.ndarray
     low: np.ndarray
+    background: float = 0.0
     warnings: list[str] = field(default_factory=list)
 
+    @property
+    def is_negative(self) -> bool:
+        """Whether some values are below 0."""
+        return min(float(self.density.min()), self.background) < 0.0
 
-# Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, notes.
+
+# Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, background, notes.
 _in_use: dict[tuple, tuple] = {}
-# Files that another process has read without crashing, and grids without a positive voxel, by the same key.
+# Files that another process has read without crashing, and grids whose voxels are all 0, by the same key.
 _verified: set[tuple] = set()
 _empty: set[tuple] = set()
 
@@ -66,11 +74,12 @@ def read_density_grid(
 
     Of a grid of vectors one component is read: its name is the grid's and one of `worker.COMPONENTS`.
 
-    Negative and non-finite voxels become 0, as Cycles clamps them when shading; a warning gives their number. started:
-    see `read_in_process`. Any thread may call this; other threads run meanwhile.
+    Voxels that Cycles shows although they are not active are among its values. Non-finite voxels become 0; a warning
+    gives their number and that of negative ones. started: see `read_in_process`. Any thread may call this; other
+    threads run meanwhile.
 
-    Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, one that is not a scalar fog
-    volume, or one too large; EmptyGrid for one without a positive voxel.
+    Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, one that is not a fog volume
+    of numbers, or one too large; EmptyGrid for one whose voxels are all 0.
     """
     where = f'Volume object "{owner}"'
     known = density_grid_in_use(path, grid_name, owner)
@@ -81,43 +90,40 @@ def read_density_grid(
         raise _nothing(key, grid_name, where)
     facts, leaves = _read(path, grid_name, where, key, started)
     notes = _require_density(facts["grids"], path, grid_name, where)
-    # The background is known only once the tree is read.
-    if facts["background"] != 0.0:
-        raise SceneError(
-            f'{where}: grid "{grid_name}" has background {facts["background"]:g}, endless fog '
-            "outside its voxels; save it with background 0"
-        )
     _require_box(facts["shape"], grid_name, where)
     numbers, values = leaves
+    background = float(np.nan_to_num(np.float32(facts["background"]), nan=0.0, posinf=0.0, neginf=0.0))
+    values[0] = background
     notes += _clean(values, grid_name)
-    if not values.any():
+    # OpenVDB's box is inverted where there are no active voxels.
+    if min(facts["shape"]) < 1 or not values.any():
         raise _nothing(key, grid_name, where)
     if facts["matrix"] is None:
         raise SceneError(f'{where}: grid "{grid_name}" has a frustum transform; resample it to a box')
     matrix = np.array(facts["matrix"])
+    low, shape = _shown_box(facts, numbers, values)
     # Index 0 of the array is the box's lower voxel.
-    matrix[:3, 3] += matrix[:3, :3] @ (np.array(facts["low"]) + VOXEL_CENTRE)
-    density = _arranged(facts, numbers, values)
+    matrix[:3, 3] += matrix[:3, :3] @ (low + VOXEL_CENTRE)
+    density = _arranged(facts, low, shape, numbers, values)
     for old in [old for old, (density, *_) in list(_in_use.items()) if density() is None]:
         _in_use.pop(old, None)
-    low = np.array(facts["low"])
-    _in_use[key] = weakref.ref(density), matrix, low, notes
+    _in_use[key] = weakref.ref(density), matrix, low, background, notes
     _verified.add(key)
-    return DensityGrid(density, matrix.copy(), low, [f"{where}: {note}" for note in notes])
+    return DensityGrid(density, matrix.copy(), low, background, [f"{where}: {note}" for note in notes])
 
 
 def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | None:
     """As `read_density_grid` where the grid is in use, else None."""
-    density, matrix, low, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, None, ()))
+    density, matrix, low, background, notes = _in_use.get(_key(path, grid_name), (lambda: None, None, None, 0.0, ()))
     values = density()
     if values is None:
         return None
-    return DensityGrid(values, matrix.copy(), low, [f'Volume object "{owner}": {note}' for note in notes])
+    return DensityGrid(values, matrix.copy(), low, background, [f'Volume object "{owner}": {note}' for note in notes])
 
 
 def _nothing(key: tuple | None, grid_name: str, where: str) -> EmptyGrid:
     _empty.add(key)
-    return EmptyGrid(f'{where}: grid "{grid_name}" is empty (no voxel above 0)')
+    return EmptyGrid(f'{where}: grid "{grid_name}" is empty (all its voxels are 0)')
 
 
 def _key(path: str, grid_name: str) -> tuple | None:
@@ -142,7 +148,7 @@ def unreadable(path: str, reason: str) -> str:
 def _require_density(grids: list, path: str, grid_name: str, where: str) -> list[str]:
     """Notes on a grid's metadata. Raises SceneError unless it is a density. grids: as `read_grid` returns them."""
     found = [(kind, use) for name, kind, use in grids if name == grid_name]
-    wanted = SCALAR_GRIDS
+    wanted: tuple[str, ...] = SCALAR_GRIDS
     if not found and grid_name.endswith(COMPONENTS):
         grid_name, wanted = grid_name[: -len(COMPONENTS[0])], VECTOR_GRIDS
         found = [(kind, use) for name, kind, use in grids if name == grid_name]
@@ -154,7 +160,7 @@ def _require_density(grids: list, path: str, grid_name: str, where: str) -> list
         )
     kind, use = found[0]
     if kind not in wanted:
-        raise SceneError(f'{where}: grid "{grid_name}" is a {kind}, not a float density')
+        raise SceneError(f'{where}: grid "{grid_name}" is a {kind}, which this Blender cannot read as numbers')
     if use == "level set":
         raise SceneError(
             f'{where}: grid "{grid_name}" is a level set, a distance and not a density; convert it to a fog volume'
@@ -178,7 +184,7 @@ def _read(
         found = read_in_process(path, grid_name, MAX_SPAN, where, collect, started)
     if found is None:
         try:
-            facts, pieces = read_grid(load_openvdb(), path, grid_name, MAX_SPAN)
+            facts, pieces = read_grid(load_openvdb(), path, grid_name, MAX_SPAN, BY_LEAF)
             found = facts, collect(pieces)
         except SceneError:
             raise
@@ -192,7 +198,7 @@ def _read(
 def _collect(
     pieces: Iterator[tuple[np.ndarray, np.ndarray]], grid_name: str, where: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(numbers, values) of all pieces; `values` has an extra first row of zeros.
+    """(numbers, values) of all pieces; `values` has an extra first row.
 
     Raises SceneError where there are too many.
     """
@@ -215,13 +221,30 @@ def _collect(
     return numbers, values
 
 
-def _arranged(facts: dict, numbers: np.ndarray, values: np.ndarray) -> np.ndarray | SparseGrid:
-    """The grid as a SparseGrid or, where that is faster, an array."""
-    first = np.subtract(facts["low"], facts["first"])
-    sparse = SparseGrid.of_blocks(facts["shape"], first, facts["count"], numbers, values)
-    span = np.prod(np.array(facts["shape"], float))
+def _shown_box(facts: dict, numbers: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower index and size, int (3,) each, of the box of active voxels, with those around it that are shown."""
+    low, high = np.array(facts["low"]), np.add(facts["low"], facts["shape"])
+    corners = LEAF * np.stack(np.unravel_index(numbers, facts["count"]), axis=1) + facts["first"]
+    grown_low, grown_high = low.copy(), high.copy()
+    for axis in range(3):
+        for beyond in (corners[:, axis] < low[axis], corners[:, axis] + LEAF > high[axis]):
+            rows = np.flatnonzero(beyond)
+            planes = (values[1 + rows] != values[0, 0, 0, 0]).any(axis=tuple(1 + a for a in range(3) if a != axis))
+            if len(places := corners[rows, axis][:, None] + np.arange(LEAF)) and planes.any():
+                grown_low[axis] = min(grown_low[axis], places[planes].min())
+                grown_high[axis] = max(grown_high[axis], places[planes].max() + 1)
+    return grown_low, grown_high - grown_low
+
+
+def _arranged(
+    facts: dict, low: np.ndarray, shape: np.ndarray, numbers: np.ndarray, values: np.ndarray
+) -> np.ndarray | SparseGrid:
+    """The grid as a SparseGrid or, where that is faster, an array. low, shape: of `_shown_box`."""
+    sparse = SparseGrid.of_blocks(shape, low - facts["first"], facts["count"], numbers, values)
+    span = np.prod(np.array(shape, float))
     if span <= DENSE_SPAN or (len(numbers) > DENSE_SHARE * np.prod(facts["count"]) and span <= MAX_VOXELS):
-        dense = sparse.dense()
+        background = values[0, 0, 0, 0]
+        dense = sparse.with_values(values - background).dense() + background if background else sparse.dense()
         dense.flags.writeable = False
         return dense
     values.flags.writeable = False
@@ -242,13 +265,13 @@ def _require_box(shape: Sequence[int], grid_name: str, where: str) -> None:
 
 
 def _clean(values: np.ndarray, grid_name: str) -> list[str]:
-    """Set negative and non-finite voxels to 0; notes their number."""
+    """Set non-finite voxels to 0; notes their number and that of negative ones."""
     # NaN fails both comparisons.
     if values.min() >= 0.0 and values.max() < np.inf:
         return []
-    invalid, negative = ~np.isfinite(values), values < 0.0
-    values[invalid | negative] = 0.0
+    invalid, negative = ~np.isfinite(values), np.count_nonzero(values[1:] < 0.0)
+    values[invalid] = 0.0
     return [
-        f"{int(negative.sum())} negative and {int(invalid.sum())} NaN or infinite voxels "
-        f'of grid "{grid_name}" were set to 0'
+        f'grid "{grid_name}" has {negative} negative voxels, whose density is 0 as in Cycles, and '
+        f"{np.count_nonzero(invalid)} NaN or infinite voxels, which were set to 0"
     ]

@@ -14,8 +14,10 @@ FIVE = bpy.app.version >= (5, 0, 0)
 CLIPPING = 1e-3
 
 
-def leaves_around(grids: dict, low: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """(grids, low): aligned grids by name, padded with zeros to the bounds of Cycles' leaves.
+def leaves_around(
+    grids: dict[str, np.ndarray], low: np.ndarray, backgrounds: dict[str, float]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """(grids, low): aligned grids by name, padded with their backgrounds, or 0, to the bounds of Cycles' leaves.
 
     low: int (3,), the file's index of their first voxel.
     """
@@ -24,12 +26,17 @@ def leaves_around(grids: dict, low: np.ndarray) -> tuple[dict[str, np.ndarray], 
     first = (low - beside) // LEAF * LEAF
     last = -((-low - shape - beside) // LEAF) * LEAF
     around = list(zip(low - first, last - low - shape))
-    return {name: np.pad(values, around) for name, values in grids.items()}, first
+    padded = {
+        name: np.pad(values, around, constant_values=backgrounds.get(name, 0.0)) for name, values in grids.items()
+    }
+    return padded, first
 
 
-def boxes(grids: dict) -> np.ndarray:
+def boxes(grids: dict[str, np.ndarray], backgrounds: dict[str, float]) -> np.ndarray:
     """float32 (nx, ny, nz): 1 inside Cycles' boxes, for grids from `leaves_around`."""
-    filled = np.any([values > CLIPPING for values in grids.values()], axis=0)
+    # Voxels that hold the background are not active.
+    active = [(values > CLIPPING) & (values != backgrounds.get(name, 0.0)) for name, values in grids.items()]
+    filled = np.any(active, axis=0)
     if FIVE:
         return _one_box(filled)
     grown = filled.copy()

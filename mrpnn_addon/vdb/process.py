@@ -29,6 +29,8 @@ SECONDS, SECONDS_PER_BYTE = 20, 2e-7
 MEMORY = 16 << 30
 # Wall-clock limit as a multiple of processor seconds, for busy machines.
 WALL_CLOCK_FACTOR = 10
+# How Cycles bounds what it shows, see `worker.read_grid`.
+BY_LEAF = bpy.app.version < (5, 0, 0)
 # On Windows, exit statuses from here on are crashes.
 WINDOWS_CRASH = 0xC0000000
 
@@ -53,7 +55,9 @@ def read_in_process(
     if not INTERPRETER or not os.path.isfile(path):
         return None
     seconds = int(SECONDS + SECONDS_PER_BYTE * os.path.getsize(path))
-    command = [INTERPRETER, "-I", str(PROGRAM), path, grid_name, str(most_voxels), str(seconds), str(MEMORY), *FOLDERS]
+    limits = str(most_voxels), str(seconds), str(MEMORY)
+    program = [INTERPRETER, "-I", str(PROGRAM), *([] if BY_LEAF else ["--by-box"])]
+    command = [*program, path, grid_name, *limits, *FOLDERS]
     try:
         process = subprocess.Popen(
             command,

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..nodes.material import VolumeMaterial
-from .shaded_grid import ShadedGrid, refuse_nothing, shade
+from .shaded_grid import ShadedGrid, require_a_grid, shade
 from .source import VolumeSource
 from .voxel_points import Probe, VoxelDomain, components
 
@@ -89,21 +89,12 @@ def vectors_of(grids: dict[str, np.ndarray]) -> tuple[str, ...]:
 def probe_grids(material: VolumeMaterial, grids: dict[str, np.ndarray]) -> Probe:
     """A probe that has evaluated a VolumeMaterial where all grids are 0.
 
-    Raises SceneError where the material reads a grid that does not exist, or none.
+    Raises SceneError where the material reads no grid that exists.
     """
     vectors = vectors_of(grids)
     probe = Probe([*grids, *vectors], fills_its_bounds=False, vectors=vectors)
-    at_zero = material.at(probe)
-    for name in probe.names:
-        if name not in grids:
-            material.refuse(f'the fluid domain has no grid "{name}" (grids: {", ".join(grids)})')
-    if not probe.names:
-        if not at_zero.closures and not at_zero.emission.any():
-            refuse_nothing(material)
-        material.refuse(
-            "the material reads no grid, so no smoke shapes the volume; enter density in Density Attribute "
-            f"or link an Attribute node (grids of the domain: {', '.join(grids)})"
-        )
+    material.at(probe)
+    require_a_grid(material, probe)
     return probe
 
 

@@ -12,7 +12,15 @@ import bpy
 import numpy as np
 
 from ...inference.scene import Medium, SceneError, Volume
-from ..nodes.material import EmptyMaterial, VolumeMaterial, first_material, is_animated, materials, shows_volume
+from ..nodes.material import (
+    EmptyMaterial,
+    MissingGrids,
+    VolumeMaterial,
+    first_material,
+    is_animated,
+    materials,
+    shows_volume,
+)
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
@@ -24,6 +32,9 @@ from .fluid_domain import FluidSource, checksum, gas_domain, is_empty, probe_gri
 from .shaded_grid import ShadedGrid
 from .source import FileSource, MeshSource, VolumeSource
 from .voxel_points import Probe
+
+# Types of grids that Cycles reads as 0.
+NOT_NUMBERS = {"MASK", "POINTS", "STRING", "UNKNOWN"}
 
 
 class EmptyVolume(Exception):
@@ -59,6 +70,8 @@ class VolumeReader:
                 self.load(source)
         key = self._known_key(shown)
         known = self.known[key]
+        if isinstance(known, MissingGrids):
+            raise EmptyVolume(f"is empty, since {known}, in")
         if isinstance(known, (EmptyGrid, EmptyMaterial)) and _varies(shown.object):
             raise EmptyVolume("is empty in")
         if isinstance(known, SceneError):
@@ -184,8 +197,8 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
         path = str(Path(folder, "evaluated.vdb"))
     material = VolumeMaterial(first_material(shown.object), where)
     # Names from Blender: only the other process parses files.
-    vectors = tuple(text_of(grid, "name") for grid in data.grids if grid.data_type.startswith("VECTOR"))
-    probe = Probe([text_of(grid, "name") for grid in data.grids], fills_its_bounds=False, vectors=vectors)
+    names, vectors = _grids_of_numbers(data.grids)
+    probe = Probe(names, fills_its_bounds=False, vectors=vectors)
     material.at(probe)
     key = _key(shown, probe.placed)
     source = FileSource(key, where, material, shown.matrix, path, shown.name, probe, is_sequence)
@@ -194,6 +207,17 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
         if not data.grids.save(path):
             raise SceneError(f"{where}: Blender cannot save the result of its modifiers")
     return source
+
+
+def _grids_of_numbers(grids: Any) -> tuple[list[str], tuple[str, ...]]:
+    """Names of the grids that shaders can read, and of those of them that hold vectors; of several of one name the
+    first counts.
+    """
+    kinds: dict[str, str] = {}
+    for grid in grids:
+        kinds.setdefault(text_of(grid, "name"), grid.data_type)
+    names = [name for name, kind in kinds.items() if name and kind not in NOT_NUMBERS]
+    return names, tuple(name for name in names if kinds[name].startswith("VECTOR"))
 
 
 def _own_file(volume_object: "bpy.types.Object") -> str | None:

@@ -10,7 +10,7 @@ import numpy as np
 from ...inference.scene import MAX_ANISOTROPY
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
-from ..nodes.material import EmptyMaterial, Shading, VolumeMaterial
+from ..nodes.material import EmptyMaterial, MissingGrids, Shading, VolumeMaterial
 from ..nodes.phase_functions import phase_function
 from .voxel_points import Probe, VoxelDomain, VoxelPoints
 
@@ -84,7 +84,8 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check: Callable[[], Non
     check: called often; an exception that it raises stops the evaluation.
 
     Raises SceneError, naming object and material, where the shader cannot be evaluated, or scatters or absorbs where
-    every grid is 0; EmptyMaterial where it neither scatters, absorbs nor emits.
+    every grid is 0; EmptyMaterial where it neither scatters, absorbs nor emits, MissingGrids where that is because of
+    grids that do not exist.
     """
     grids, inside, shape = domain.grids, domain.inside, domain.shape
 
@@ -98,11 +99,13 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check: Callable[[], Non
     uniform, placed = _has_uniform_colour(shading), points.placed
     emits = len(shading.emission) > 1 or shading.emission.any()
     if not shading.closures and not emits:
-        refuse_nothing(material)
+        _refuse_nothing(material, shading.missing)
     if uniform and inside is None and shading.closures[0].grid and not shading.closures[0].phase_varies:
         # The shader's coefficients are one grid's values, unchanged.
         closure = shading.closures[0]
         density, phases = grids[closure.grid], {closure.phase: float(closure.scatter.mean())}
+        if density.min() < 0.0:
+            density = np.maximum(density, np.float32(0.0))
     else:
         density = np.zeros(int(np.prod(shape)), np.float32)
         # Sums over voxels of products of coefficients: extinction and scattering, three channels each.
@@ -123,16 +126,16 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check: Callable[[], Non
                 _require_empty_background(material, points, np.broadcast_to(most, len(voxels)))
         if inside is not None:
             density *= inside.reshape(-1)
-        if not density.max() > 0.0 and not emits:
-            _refuse_emptiness(material)
         density = density.reshape(shape)
+    if not density.max() > 0.0 and not emits:
+        _refuse_emptiness(material, shading.missing)
     if uniform:
         closure = shading.closures[0]
         scatter, extinction = closure.scatter[0], closure.scatter[0] + closure.absorb[0]
     else:
         extinction, scatter, varies, coloured = _one_colour(gram, reference)
     if not extinction.max() > 0.0 and not emits:
-        _refuse_emptiness(material)
+        _refuse_emptiness(material, shading.missing)
     albedo: np.ndarray | tuple[np.ndarray, ...]
     albedo = np.clip(np.divide(scatter, extinction, out=np.zeros(3), where=extinction > 0.0), 0.0, 1.0)
     if varies:
@@ -300,27 +303,46 @@ def is_linear(material: VolumeMaterial, probe: Probe) -> bool:
 
     probe: has read the grids. Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
     """
-    half, whole = (_coefficients_at(material, probe, value) for value in (0.5, 1.0))
+    half, whole = (
+        _all_coefficients(shading_at(material, probe, dict.fromkeys(probe.names, value))) for value in (0.5, 1.0)
+    )
     return bool(np.allclose(2.0 * half, whole, rtol=1e-6, atol=1e-12))
 
 
-def _coefficients_at(material: VolumeMaterial, probe: Probe, value: float) -> np.ndarray:
-    """(9,) extinction, scattering and emission where every grid has one value."""
-    grids = {name: np.full((1, 1, 1), value, np.float32) for name in probe.names}
-    frames = {kind: np.eye(4) for kind in ("object", "world")}
+def shaping_grids(material: VolumeMaterial, probe: Probe, names: list[str]) -> list[str]:
+    """Those of the named grids without which a material's density differs, or else all."""
+    ones = dict.fromkeys(probe.names, 1.0)
+
+    def extinction(values: dict[str, float]) -> np.ndarray:
+        return _coefficients(shading_at(material, probe, values))[0, :3]
+
+    return [name for name in names if not np.allclose(extinction({**ones, name: 0.0}), extinction(ones))] or names
+
+
+def shading_at(material: VolumeMaterial, probe: Probe, values: dict[str, float]) -> Shading:
+    """The shading at a point where each grid that the probe has read has one value."""
+    grids = {name: np.full((1, 1, 1), values[name], np.float32) for name in probe.names}
+    frames = {kind: np.eye(4) for kind in ("object", "world", "generated")}
     domain = VoxelDomain(grids, frames, vectors=probe.vectors)
-    shading = material.at(VoxelPoints(domain, np.zeros(1, int)))
+    return material.at(VoxelPoints(domain, np.zeros(1, int)))
+
+
+def _all_coefficients(shading: Shading) -> np.ndarray:
+    """(9,) extinction, scattering and emission at one point.
+
+    Blackbody emission is ignored where `INTERPOLATES_EMISSION`.
+    """
     emits = np.zeros(3) if shading.blackbody is not None and INTERPOLATES_EMISSION else shading.emission[0]
     return np.concatenate([_coefficients(shading)[0], emits])
 
 
-def refine(values: np.ndarray) -> np.ndarray:
-    """Twice as many voxels per axis, at the old ones, halfway between them and halfway to the 0 outside.
+def refine(values: np.ndarray, outside: float = 0.0) -> np.ndarray:
+    """Twice as many voxels per axis, at the old ones, halfway between them and halfway to the value outside.
 
     float32 (nx, ny, nz) to (2 nx + 1, 2 ny + 1, 2 nz + 1); the trilinear interpolant is unchanged.
     """
     for axis in range(3):
-        padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in range(3)])
+        padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in range(3)], constant_values=outside)
         shape = list(values.shape)
         shape[axis] = 2 * shape[axis] + 1
         fine = np.empty(shape, np.float32)
@@ -335,10 +357,30 @@ def refine(values: np.ndarray) -> np.ndarray:
     return values
 
 
-def require_empty_background(material: VolumeMaterial, shading: Shading) -> None:
-    """Raise SceneError where a shading at a point at which every grid is 0 has density."""
-    if shading.closures and _coefficients(shading)[:, :3].max() > 0.0:
-        _refuse_background(material)
+def require_empty_background(material: VolumeMaterial, shading: Shading, backgrounds: dict[str, float]) -> None:
+    """Raise SceneError where a shading at a point outside all grids, whose values there are given, has density."""
+    if not shading.closures or not _coefficients(shading)[:, :3].max() > 0.0:
+        return
+    for name, background in backgrounds.items():
+        if background:
+            material.refuse(
+                f'grid "{name}" has background {background:g}, endless fog outside its voxels; save it with '
+                "background 0"
+            )
+    _refuse_background(material)
+
+
+def require_a_grid(material: VolumeMaterial, probe: Probe) -> None:
+    """Raise SceneError where a material, evaluated by the probe, reads no grid that exists."""
+    if probe.names:
+        return
+    shading = material.at(probe)
+    if shading.missing or not (shading.closures or shading.emission.any()):
+        _refuse_nothing(material, shading.missing)
+    material.refuse(
+        "the material reads no grid, so no grid shapes the volume; enter a grid's name in Density Attribute or link "
+        f"an Attribute node (grids: {', '.join(probe.available)})"
+    )
 
 
 def _require_empty_background(material: VolumeMaterial, points: VoxelPoints, density: np.ndarray) -> None:
@@ -349,13 +391,17 @@ def _require_empty_background(material: VolumeMaterial, points: VoxelPoints, den
         _refuse_background(material)
 
 
-def refuse_nothing(material: VolumeMaterial) -> None:
-    """Raise EmptyMaterial for a shader without scattering, absorption and emission."""
+def _refuse_nothing(material: VolumeMaterial, missing: list[str]) -> None:
+    if missing:
+        raise MissingGrids(" and ".join(missing))
     material.refuse("it neither scatters, absorbs nor emits, so there is nothing to render", EmptyMaterial)
 
 
-def _refuse_emptiness(material: VolumeMaterial) -> None:
-    material.refuse("its density is 0 everywhere, so the volume is invisible", EmptyMaterial)
+def _refuse_emptiness(material: VolumeMaterial, missing: list[str]) -> None:
+    problem = "its density is 0 everywhere, so the volume is empty"
+    if missing:
+        raise MissingGrids(" and ".join(missing))
+    material.refuse(problem, EmptyMaterial)
 
 
 def _refuse_background(material: VolumeMaterial) -> None:

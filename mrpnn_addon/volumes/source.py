@@ -13,17 +13,21 @@ from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import VolumeMaterial
 from ..objects.mesh_triangles import Mesh
 from ..vdb.common_blocks import CommonBlocks
-from ..vdb.density_grid import MAX_SPAN, MAX_VOXELS, EmptyGrid, read_density_grid
+from ..vdb.density_grid import MAX_VOXELS, DensityGrid, EmptyGrid, read_density_grid
 from ..vdb.leaf_boxes import boxes, leaves_around
+from ..vdb.process import BY_LEAF
+from .common_voxels import CommonVoxels, common_voxels
 from .mesh_fill import fill
 from .shaded_grid import (
     INTERPOLATES_EMISSION,
     ShadedGrid,
     is_linear,
     refine,
-    refuse_nothing,
+    require_a_grid,
     require_empty_background,
     shade,
+    shading_at,
+    shaping_grids,
 )
 from .voxel_points import Probe, VoxelDomain
 
@@ -99,43 +103,38 @@ class FileSource(VolumeSource):
     def _read(
         self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
     ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
-        material, probe, at_zero = self.material, self.probe, self.material.at(self.probe)
-        if not probe.names:
-            if not at_zero.closures and not at_zero.emission.any():
-                refuse_nothing(material)
-            material.refuse(
-                "the material reads no grid, so no grid shapes the volume; enter a grid's name in Density "
-                f"Attribute or link an Attribute node (grids in this file: {', '.join(probe.available)})"
-            )
-        if not probe.placed:
-            require_empty_background(material, at_zero)
-        read, offsets, shape, object_from_index, low, warnings = self._aligned(started)
+        material, probe = self.material, self.probe
+        require_a_grid(material, probe)
+        read = self._grids(started)
+        common = common_voxels(read, shaping_grids(material, probe, list(read)), self.where, check)
         check()
-        emits = bool(at_zero.emission.any())
+        outside = shading_at(material, probe, {name: common.backgrounds.get(name, 0.0) for name in probe.names})
+        if not probe.placed or any(common.backgrounds.values()):
+            require_empty_background(material, outside, common.backgrounds)
+        object_from_index, shape = common.object_from_index, common.shape
+        emits = bool(outside.emission.any())
         many = np.prod(shape.astype(float)) > MAX_VOXELS
-        if not emits and (many or any(isinstance(grid, SparseGrid) for grid in read.values())):
-            shaded = self._shade_blocks(read, offsets, shape, self._frames(object_from_index), check)
-            return shaded, object_from_index, warnings
+        if not emits and (many or any(isinstance(grid, SparseGrid) for grid in common.grids.values())):
+            return self._shade_blocks(common, check), object_from_index, common.warnings
         if many:
             material.refuse(
                 f"it emits light where its grids are 0, and the box around them has more than {MAX_VOXELS} voxels"
             )
-        grids = {name: _placed(grid, offsets[name], shape) for name, grid in read.items()}
-        grids.update({name: np.zeros(shape, np.float32) for name in probe.names if name not in read})
+        grids = {name: _placed(grid, name, common) for name, grid in common.grids.items()}
+        grids.update({name: np.zeros(shape, np.float32) for name in probe.names if name not in grids})
         filled = None
         # A shader that emits where the grids are 0 fills Cycles' boxes.
         if emits:
-            grids, first = leaves_around(grids, low)
-            object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - low)
-            filled = boxes(grids)
-        # Cycles interpolates the grids before it evaluates the nodes; finer voxels approximate that.
+            grids, first = leaves_around(grids, common.low, common.backgrounds)
+            object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - common.low)
+            filled = boxes(grids, common.backgrounds)
         notes = []
-        if next(iter(grids.values())).size < MAX_REFINED and (probe.placed or not is_linear(material, probe)):
-            grids = {name: refine(values) for name, values in grids.items()}
+        if _is_refined(material, probe, next(iter(grids.values())).size, common.is_negative):
+            grids = {name: refine(values, common.backgrounds.get(name, 0.0)) for name, values in grids.items()}
             filled = None if filled is None else refine(filled)
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
             object_from_index[:3, :3] *= 0.5
-            if at_zero.blackbody is not None and INTERPOLATES_EMISSION:
+            if outside.blackbody is not None and INTERPOLATES_EMISSION:
                 notes = [
                     "with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
                     "is darker"
@@ -143,7 +142,7 @@ class FileSource(VolumeSource):
         domain = VoxelDomain(grids, self._frames(object_from_index), emitting=filled, vectors=probe.vectors)
         shaded = shade(material, domain, check)
         shaded.notes = shaded.notes + notes
-        return shaded, object_from_index, warnings
+        return shaded, object_from_index, common.warnings
 
     def _frames(self, object_from_index: np.ndarray) -> dict[str, np.ndarray]:
         # Generated coordinates of a Volume object are those of the object.
@@ -153,22 +152,13 @@ class FileSource(VolumeSource):
             "world": self.matrix @ object_from_index,
         }
 
-    def _shade_blocks(
-        self,
-        read: dict[str, np.ndarray | SparseGrid],
-        offsets: dict[str, np.ndarray],
-        shape: np.ndarray,
-        frames: dict[str, np.ndarray],
-        check: Callable[[], None],
-    ) -> ShadedGrid:
-        """As `shade`, for grids by name in a mostly empty box."""
-        try:
-            blocks = CommonBlocks(read, offsets, shape)
-        except ValueError:
-            self.material.refuse(f"grids {', '.join(read)} are offset by part of a leaf; save them with one transform")
+    def _shade_blocks(self, common: CommonVoxels, check: Callable[[], None]) -> ShadedGrid:
+        """As `shade`, for grids in a mostly empty box."""
+        blocks = CommonBlocks(common.grids, common.offsets, common.shape, common.backgrounds)
         probe, names = self.probe, self.probe.names
-        nothing = np.zeros_like(next(iter(blocks.arrays.values()))) if len(read) < len(names) else None
+        nothing = np.zeros_like(next(iter(blocks.arrays.values()))) if len(blocks.arrays) < len(names) else None
         grids = {name: blocks.arrays.get(name, nothing) for name in names}
+        frames = self._frames(common.object_from_index)
         domain = VoxelDomain(grids, frames, index_of=blocks.index, vectors=probe.vectors)
         shaded = shade(self.material, domain, check)
         rows: Any = shaded
@@ -185,11 +175,10 @@ class FileSource(VolumeSource):
                 setattr(shaded, name, channels)
         return shaded
 
-    def _aligned(self, started: Callable[[subprocess.Popen], None]) -> tuple:
-        """Grids by name; the offset of each in their common box; the box's shape and its index to object space; the
-        file's index of its first voxel; and warnings.
+    def _grids(self, started: Callable[[subprocess.Popen], None]) -> dict[str, DensityGrid]:
+        """The grids that the shader reads, by name, without those whose voxels are all 0.
 
-        Grids without a positive voxel are left out. Raises EmptyGrid where all are.
+        Raises EmptyGrid where all are.
         """
         read, empty = {}, None
         for name in self.probe.names:
@@ -199,34 +188,26 @@ class FileSource(VolumeSource):
                 empty = problem
         if not read:
             raise empty
-        reference = next(iter(read.values()))
-        first = reference.object_from_index
-        offsets = {}
-        for name, grid in read.items():
-            relative = np.linalg.inv(first) @ grid.object_from_index
-            offset = np.round(relative[:3, 3])
-            if np.abs(relative[:3, :3] - np.eye(3)).max() > 1e-4 or np.abs(relative[:3, 3] - offset).max() > 1e-2:
-                self.material.refuse(
-                    f'grids "{next(iter(read))}" and "{name}" have different voxels, which cannot be combined'
-                )
-            offsets[name] = offset.astype(int)
-        warnings = [warning for grid in read.values() for warning in grid.warnings]
-        low = np.min(list(offsets.values()), axis=0)
-        high = np.max([offsets[name] + grid.density.shape for name, grid in read.items()], axis=0)
-        if np.prod((high - low).astype(float)) > MAX_SPAN:
-            self.material.refuse(f"its grids are so far apart that the box around them has more than {MAX_SPAN} voxels")
-        object_from_index = first.copy()
-        object_from_index[:3, 3] += first[:3, :3] @ low
-        grids = {name: grid.density for name, grid in read.items()}
-        offsets = {name: offset - low for name, offset in offsets.items()}
-        return grids, offsets, high - low, object_from_index, reference.low + low, warnings
+        return read
 
 
-def _placed(values: np.ndarray | SparseGrid, offset: np.ndarray, shape: np.ndarray) -> np.ndarray:
+def _is_refined(material: VolumeMaterial, probe: Probe, voxels: int, is_negative: bool) -> bool:
+    """Whether finer voxels approximate that Cycles interpolates the grids before it evaluates the nodes.
+
+    In a shader that is linear in the grids Cycles clamps negative densities between voxels before 5.0, at them since.
+    """
+    if voxels >= MAX_REFINED:
+        return False
+    return probe.placed or not is_linear(material, probe) or (is_negative and BY_LEAF)
+
+
+def _placed(values: np.ndarray | SparseGrid, name: str, common: CommonVoxels) -> np.ndarray:
     """A grid as an array of its box's shape."""
-    values = values.dense() if isinstance(values, SparseGrid) else values
-    if tuple(shape) == values.shape:
+    background, offset = common.backgrounds[name], common.offsets[name]
+    if isinstance(values, SparseGrid):
+        values = values.with_values(values.values - np.float32(background)).dense() + np.float32(background)
+    if tuple(common.shape) == values.shape:
         return values
-    placed = np.zeros(shape, np.float32)
+    placed = np.full(common.shape, background, np.float32)
     placed[tuple(slice(o, o + n) for o, n in zip(offset, values.shape))] = values
     return placed

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ..nodes.sockets import Unsupported
 from ..vdb.worker import COMPONENTS
 
 
@@ -19,14 +18,15 @@ def components(name: str) -> list[str]:
 class Probe:
     """One point where every grid is 0; records what a shader reads.
 
-    names: grids that it read; of grids of vectors the components, each by a name of its own. placed: whether it read
-    positions.
+    names: grids that it read; of grids of vectors the components, each by a name of its own. missing: names of grids
+    that it read and that do not exist, with the node that reads each, or None. placed: whether it read positions.
     """
 
     def __init__(self, available: Sequence[str], fills_its_bounds: bool, vectors: tuple[str, ...] = ()) -> None:
         """available: names of grids. vectors: names of those of them that hold vectors."""
         self.available, self.fills_its_bounds, self.vectors = available, fills_its_bounds, vectors
         self.names: list[str] = []
+        self.missing: dict[str, Any] = {}
         self.placed = False
 
     def has(self, name: str) -> bool:
@@ -34,14 +34,20 @@ class Probe:
         return name in self.available
 
     def attribute(self, name: str, node: Any) -> np.ndarray:
-        """(n, 1) values of a grid, (n, 3) of one of vectors. Raises Unsupported where a mesh has none."""
-        if self.fills_its_bounds and not self.has(name):
-            raise Unsupported(
-                f'node "{node.name}" reads the attribute "{name}", which does not exist inside a mesh; unlink it'
-            )
+        """(n, 1) values of a grid, (n, 3) of one of vectors; 0 for one that does not exist, as in Cycles."""
+        if not self.has(name):
+            self.missing.setdefault(name, node)
+            return np.zeros((1, 1))
         parts = components(name) if name in self.vectors else [name]
         self.names += [part for part in parts if part not in self.names]
         return np.concatenate([self._read(part) for part in parts], axis=1)
+
+    def absent(self, name: str) -> str:
+        """A grid that does not exist and, to choose from, those that do, for a message."""
+        if self.fills_its_bounds:
+            return f'"{name}", which does not exist inside a mesh'
+        known = ", ".join(f'"{grid}"' for grid in self.available if not grid.endswith(COMPONENTS))
+        return f'"{name}", which is not among its grids of numbers ({known or "none"})'
 
     def coordinates(self, kind: str, node: Any) -> np.ndarray:
         """(n, 3) positions; `kind` is "world", "object" or "generated"."""

@@ -193,9 +193,7 @@ def test_a_sequence_reads_the_frames_file(addon, scene, tmp_path):
         ("odd/eight_grids_four_empty.vdb", "flame", "empty"),
         ("odd/eight_grids_four_empty.vdb", "shadow", "empty"),
         ("odd/background_one.vdb", "density", "background 1"),
-        ("odd/vector_grid_only.vdb", "density", 'no grid "density" (grids: "Cd")'),
         ("odd/vector_grid_only.vdb", "Cd", "background 1"),
-        ("odd/points_only.vdb", "points", "not a float density"),
         ("odd/git_lfs_pointer.vdb", "density", "git lfs pull"),
         ("odd/damaged/truncated.vdb", "density", "cannot read"),
         ("odd/damaged/bad-bbox-huge.vdb", "huge", "empty"),
@@ -214,7 +212,6 @@ def test_odd_files_are_refused_by_object_and_reason(addon, scene, shared_volumes
     "file, grid, said",
     [
         ("icosahedron_levelset.vdb", "ls_icosahedron", "level set"),
-        ("torus_max100.vdb", "density", "voxel_fog_density"),
         ("no_such_file.vdb", "density", "file not found"),
     ],
 )
@@ -227,6 +224,26 @@ def assert_refused(addon, scene, path, grid, said):
     lit(scene)
     message = refusal(addon)
     assert '"Odd one"' in message and said in message
+
+
+@pytest.mark.parametrize(
+    "file, grid, known",
+    [
+        ("torus_max100.vdb", "density", '("voxel_fog_density")'),
+        ("odd/vector_grid_only.vdb", "density", '("Cd")'),
+        ("odd/points_only.vdb", "points", "(none)"),
+    ],
+)
+def test_a_volume_whose_density_does_not_exist_is_empty(addon, scene, real_volumes, shared_volumes, file, grid, known):
+    """As in Cycles. Points hold no numbers."""
+    folder = real_volumes if (real_volumes / file).is_file() else shared_volumes
+    blender_scenes.add_volume(scene, folder / file, name="Odd one", Density_Attribute=grid)
+    lit(scene)
+    described = read(addon)
+    (said,) = described.empty
+    assert not described.volumes and said in described.warnings[0]
+    for part in ('"Odd one"', "Principled Volume", f'"{grid}", which is not among its grids', known):
+        assert part in said
 
 
 def test_negative_and_nan_voxels_are_taken_as_0_and_counted(addon, scene, shared_volumes):

@@ -102,8 +102,8 @@ def test_unreadable_volumes_are_reported_beside_readable_ones(addon, scene, clou
     assert found.error is None and reader.wanted(blender_scenes.depsgraph()) == []
     described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph(), reader)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
-    (problem,) = described.refused
-    assert '"Odd one": ' in problem
+    (problem,) = described.empty
+    assert 'volume "Odd one" is empty' in problem and '"temperature"' in problem
 
 
 @pytest.mark.parametrize("kind", ["file", "mesh"])

@@ -144,13 +144,24 @@ def test_meshes_without_an_inside_are_refused_by_name(addon, scene, make, said):
         read(addon)
 
 
-def test_an_attribute_that_a_mesh_lacks_is_refused(addon, scene):
-    _, node = add_mesh(scene, cube)
+@pytest.mark.parametrize("added", [0.0, 0.6])
+def test_an_attribute_that_a_mesh_lacks_is_0(addon, scene, tmp_path, added):
+    _, node = add_mesh(scene, cube, Color=(0.0, 0.0, 0.0, 1.0))
     tree = node.id_data
-    tree.links.new(tree.nodes.new("ShaderNodeVolumeInfo").outputs["Density"], node.inputs["Density"])
+    total_of = tree.nodes.new("ShaderNodeMath")
+    total_of.inputs[1].default_value = added
+    tree.links.new(tree.nodes.new("ShaderNodeVolumeInfo").outputs["Density"], total_of.inputs[0])
+    tree.links.new(total_of.outputs[0], node.inputs["Density"])
     lit(scene)
-    with pytest.raises(SceneError, match='"density", which does not exist inside a mesh'):
-        read(addon)
+    scene.render.resolution_x = scene.render.resolution_y = 32
+    described = read(addon)
+    assert any('"density", which does not exist inside a mesh' in warning for warning in described.warnings)
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=16)[..., 3]
+    if added:
+        layer = render(described.volumes, described.suns, described.camera, Settings(depth_samples=1))
+        assert layer.alpha.mean() == pytest.approx(expected.mean(), rel=0.02)
+    else:
+        assert described.empty and not expected.any()
 
 
 def test_a_mesh_with_a_surface_is_no_volume(addon, scene, tmp_path):
