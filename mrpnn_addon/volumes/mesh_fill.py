@@ -10,6 +10,10 @@ from ...inference.scene import SceneError
 
 # Voxels along the longest side.
 CELLS = 128
+# Voxels along any side: thinner fog would blur, which changes how much it hides.
+LEAST = 16
+# A box along the principal axes is used where its volume is less than this share of the one along the object's axes.
+TURNED_SHARE = 0.25
 # Columns per voxel and axis, along which the inside is exact.
 COLUMNS = 2
 # Columns avoid voxel centres, so that none meets the edges of regular meshes.
@@ -37,11 +41,13 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[]
     """
     if not len(corners):
         raise SceneError(f"{where}: the mesh has no faces, so it encloses no volume")
+    axes = _axes(corners, matrix)
+    corners, matrix = corners @ axes, matrix @ _frame(axes)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     if np.any(high - low <= 1e-9 * (high - low).max()):
         raise SceneError(f"{where}: the mesh is flat and encloses no volume")
     extent = (high - low) * np.linalg.norm(matrix[:3, :3], axis=0)
-    cells = np.maximum(np.ceil(extent / extent.max() * CELLS - 1e-6), 1).astype(int)
+    cells = np.maximum(np.ceil(extent / extent.max() * CELLS - 1e-6), LEAST).astype(int)
     size = (high - low) / cells
     corners = (corners - low) / size
     share, gaps = _share(corners, cells, check)
@@ -52,7 +58,31 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[]
     index = np.eye(4)
     index[:3, :3] = np.diag(size)
     index[:3, 3] = low + size / 2.0
-    return Inside(share, index)
+    return Inside(share, _frame(axes) @ index)
+
+
+def _axes(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """(3, 3), orthonormal columns: the axes of the voxels in object space, which follow thin meshes."""
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    middle = corners.mean(axis=1)
+    apart = (corners - np.average(middle, axis=0, weights=areas)) if areas.any() else corners - middle.mean(axis=0)
+    moments = np.einsum("t,tci,tcj->ij", areas, apart, apart)
+    if not np.isfinite(moments).all():
+        return np.eye(3)
+    turned = np.linalg.eigh(moments)[1]
+    turned[:, 0] *= np.sign(np.linalg.det(turned))
+
+    def volume(axes: np.ndarray) -> float:
+        extent = np.ptp((corners @ axes).reshape(-1, 3), axis=0)
+        return float(np.prod(extent * np.linalg.norm(matrix[:3, :3] @ axes, axis=0)))
+
+    return turned if volume(turned) < TURNED_SHARE * volume(np.eye(3)) else np.eye(3)
+
+
+def _frame(axes: np.ndarray) -> np.ndarray:
+    frame = np.eye(4)
+    frame[:3, :3] = axes
+    return frame
 
 
 def _share(corners: np.ndarray, cells: np.ndarray, check: Callable[[], None]) -> tuple:

@@ -127,6 +127,41 @@ def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
     assert np.sqrt(((layer.alpha - expected) ** 2).mean()) < 0.02
 
 
+def stretched(*sizes, turn=None):
+    def make(shape):
+        made = bmesh.ops.create_cube(shape, size=1.0)
+        bmesh.ops.scale(shape, vec=sizes, verts=made["verts"])
+        if turn is not None:
+            bmesh.ops.rotate(shape, cent=(0, 0, 0), matrix=turn, verts=made["verts"])
+
+    return make
+
+
+TURN = Matrix.Rotation(0.7, 3, "X") @ Matrix.Rotation(0.5, 3, "Y") @ Matrix.Rotation(0.4, 3, "Z")
+
+
+@pytest.mark.parametrize(
+    "make, density",
+    [
+        (stretched(2.0, 2.0, 0.01, turn=Matrix.Rotation(0.3, 3, "X")), 60.0),
+        (stretched(2.0, 2.0, 0.01, turn=TURN), 60.0),
+        (stretched(2.0, 0.03, 0.03), 60.0),
+        (stretched(2.0, 0.03, 0.03, turn=TURN), 60.0),
+    ],
+)
+def test_fog_thinner_than_two_voxels_hides_as_much_as_in_cycles(addon, scene, tmp_path, make, density):
+    """Blurred over voxels, the same fog would hide more."""
+    fog, _ = add_mesh(scene, make, Density=density, Color=(0.0, 0.0, 0.0, 1.0))
+    # Across the pixels' rows, so that one ray for each finds its mean width.
+    fog.rotation_euler = (0.0, 0.0, 0.3)
+    lit(scene, ortho_scale=2.2)
+    scene.render.resolution_x = scene.render.resolution_y = 200
+    described = read(addon)
+    layer = render(described.volumes, described.suns, described.camera, Settings(depth_samples=1))
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=4)[..., 3]
+    assert layer.alpha.mean() == pytest.approx(expected.mean(), rel=0.03)
+
+
 def open_box(shape):
     cube(shape)
     bmesh.ops.delete(shape, geom=shape.faces[:1], context="FACES_ONLY")
