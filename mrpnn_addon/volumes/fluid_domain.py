@@ -11,8 +11,8 @@ import bpy
 import numpy as np
 
 from ..nodes.material import VolumeMaterial
-from .shaded_grid import ShadedGrid, require_a_grid, shade
-from .source import VolumeSource
+from .shaded_grid import ShadedGrid, refine, require_a_grid, shade
+from .source import VolumeSource, is_refined
 from .voxel_points import Probe, VoxelDomain, components
 
 # Densities up to this have no colour.
@@ -101,23 +101,29 @@ def probe_grids(material: VolumeMaterial, grids: dict[str, np.ndarray]) -> Probe
 @dataclass
 class FluidSource(VolumeSource):
     """grids: those of `read_grids` that the material reads. generated: (4, 4), object to texture space, which the
-    domain fills.
+    domain fills. probe: has evaluated the shader where all grids are 0.
     """
 
     grids: dict[str, np.ndarray]
     generated: np.ndarray
+    probe: Probe
 
     def _read(
         self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
     ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
-        shape = np.array(next(iter(self.grids.values())).shape)
+        grids, shape = self.grids, np.array(next(iter(self.grids.values())).shape)
         texture_from_index = np.diag([*(1.0 / shape), 1.0])
         texture_from_index[:3, 3] = 0.5 / shape
+        is_negative = any(values.min() < 0.0 for values in grids.values())
+        if is_refined(self.material, self.probe, int(shape.prod()), is_negative):
+            grids = {name: refine(values) for name, values in grids.items()}
+            texture_from_index[:3, :3] *= 0.5
+            texture_from_index[:3, 3] = 0.0
         object_from_index = np.linalg.inv(self.generated) @ texture_from_index
         frames = {
             "object": object_from_index,
             "world": self.matrix @ object_from_index,
             "generated": texture_from_index,
         }
-        domain = VoxelDomain(self.grids, frames, vectors=vectors_of(self.grids))
+        domain = VoxelDomain(grids, frames, vectors=vectors_of(grids))
         return shade(self.material, domain, check), object_from_index, []

@@ -250,7 +250,7 @@ def _fluid_source(shown: VisibleObject, where: str) -> FluidSource:
     grids = read_grids(domain)
     probe = probe_grids(material, grids)
     read = {name: grids[name] for name in probe.names}
-    return FluidSource(_key(shown, probe.placed), where, material, shown.matrix, read, generated)
+    return FluidSource(_key(shown, probe.placed), where, material, shown.matrix, read, generated, probe)
 
 
 def _mesh_source(shown: VisibleObject, where: str) -> MeshSource:

@@ -129,7 +129,7 @@ class FileSource(VolumeSource):
             object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - common.low)
             filled = boxes(grids, common.backgrounds)
         notes = []
-        if _is_refined(material, probe, next(iter(grids.values())).size, common.is_negative):
+        if is_refined(material, probe, next(iter(grids.values())).size, common.is_negative):
             grids = {name: refine(values, common.backgrounds.get(name, 0.0)) for name, values in grids.items()}
             filled = None if filled is None else refine(filled)
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
@@ -191,7 +191,7 @@ class FileSource(VolumeSource):
         return read
 
 
-def _is_refined(material: VolumeMaterial, probe: Probe, voxels: int, is_negative: bool) -> bool:
+def is_refined(material: VolumeMaterial, probe: Probe, voxels: int, is_negative: bool) -> bool:
     """Whether finer voxels approximate that Cycles interpolates the grids before it evaluates the nodes.
 
     In a shader that is linear in the grids Cycles clamps negative densities between voxels before 5.0, at them since.
