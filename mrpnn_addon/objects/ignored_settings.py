@@ -40,6 +40,22 @@ LIGHT = (
     IgnoredSetting(_CAST_SHADOW, "casts no shadow; it is rendered with shadows"),
     IgnoredSetting("data.cycles.max_bounces", "has a limit of bounces; its light is rendered with all of them"),
 )
+# Values of up to that of new volumes, as single-precision numbers.
+_CLIPPING = 0.0, 0.0010000000474974513
+#: Of objects that show a volume.
+VOLUME = (
+    IgnoredSetting(
+        "data.render.clipping",
+        "has a larger Clipping; densities below it are rendered, and Cycles drops them",
+        _CLIPPING,
+    ),
+)
+#: Of their materials.
+VOLUME_MATERIAL = (
+    IgnoredSetting(
+        "cycles.volume_interpolation", "has cubic interpolation of volumes; they are rendered with linear interpolation"
+    ),
+)
 CAMERA = (IgnoredSetting("dof.use_dof", "depth of field is not rendered"),)
 WORLD = (
     IgnoredSetting("cycles.max_bounces", "has a limit of bounces; its light is rendered with all of them"),

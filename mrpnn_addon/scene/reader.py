@@ -21,10 +21,10 @@ from ...inference.scene import (
     Surface,
     Volume,
 )
-from ..nodes.material import SURFACES, shows_volume
+from ..nodes.material import SURFACES, first_material, shows_volume
 from ..objects.animation import changes, volumes_change, with_instanced
 from ..objects.camera import read_camera, read_views
-from ..objects.ignored_settings import SCENE, VIEW_LAYER, ignored_settings
+from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIAL, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
@@ -396,6 +396,11 @@ def _add_volume(
             box, channels = box_around(shown)
             description.boxes.append((box, max(channels, len(pairs))))
             description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
+            material = first_material(shown.object)
+            description.warnings += [
+                *ignored_settings(shown.object, VOLUME, where),
+                *(ignored_settings(material, VOLUME_MATERIAL, f"{where}: its material") if material else []),
+            ]
             return
         except EmptyVolume as nothing:
             unseen = f"{nothing} frame {description.frame}"

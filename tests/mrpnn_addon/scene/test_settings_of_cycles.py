@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every setting of objects, lights, Worlds, film, light paths and view layers is rendered, has no effect, or is named.
+"""Every setting of objects, volumes, materials, lights, Worlds, film, light paths and view layers is rendered, has no
+effect, or is named.
 
 A setting that a new version of Blender brings is in none of the lists, and fails the first test.
 """
@@ -107,18 +108,51 @@ VIEW_LAYER = {
 }
 
 
+VOLUME = {
+    "read by Blender, which chooses the file: test_sources": "filepath|packed_file|is_sequence|frame_.*|sequence_mode"
+    "|grids|materials",
+    "of motion blur, which is named": "velocity_.*",
+    "a reference": "animation_data|display|render",
+}
+VOLUME_RENDER = {
+    "rendered: test_scene": "space",
+    "how Cycles samples": "step_size",
+    "of Cycles' memory; the file's own precision is rendered": "precision",
+}
+VOLUME_DISPLAY = {"the viewport's, in Solid shading": ".*"}
+MATERIAL = {
+    "evaluated: test_materials": "node_tree|use_nodes",
+    "of surfaces": "displacement_method|max_vertex_displacement|alpha_threshold|.*backface.*|use_transparent_shadow"
+    "|thickness_mode|use_thickness.*|pass_index",
+    "other engines'": "surface_render_method|volume_intersection_method|.*refraction.*|blend_method|shadow_method"
+    "|use_sss.*|use_screen_.*|show_transparent_back|use_transparency_overlap|grease_pencil|is_grease_pencil|line.*",
+    "the viewport's, in Solid shading": "diffuse_color|specular_.*|roughness|metallic",
+    "the interface's": "preview_.*|use_preview_world|paint_.*|texture_paint_.*",
+    "a reference": "animation_data|cycles",
+}
+MATERIAL_CYCLES = {
+    "of surfaces": "emission_sampling|use_bump_map_correction|displacement_method|use_transparent_shadow",
+    "how Cycles samples": "volume_sampling|volume_step_rate|homogeneous_volume",
+}
+
+
 def settings():
     """Owners by name: their properties, where these lie from the owner of the table, the table, and reasons."""
     tables = importlib.import_module("mrpnn.mrpnn_addon.objects.ignored_settings")
     lamp, world, scene = bpy.data.lights.new("Any", "POINT"), bpy.data.worlds.new("Any"), bpy.context.scene
     lights = [getattr(bpy.types, f"{kind}Light").bl_rna for kind in ("Point", "Spot", "Area", "Sun")]
-    box = bpy.data.objects.new("Any", bpy.data.meshes.new("Any"))
+    box, fog = bpy.data.objects.new("Any", bpy.data.meshes.new("Any")), bpy.data.materials.new("Any")
     return {
         "object": ([bpy.types.Object.bl_rna], "", tables.SHINING, OBJECT),
         "object.cycles": ([box.cycles.bl_rna], "cycles.", (), OBJECT_CYCLES),
         "layer collection": ([bpy.types.LayerCollection.bl_rna], "", (), LAYER_COLLECTION),
         "light": (lights, "data.", tables.LIGHT, LIGHT),
         "light.cycles": ([lamp.cycles.bl_rna], "data.cycles.", tables.LIGHT, LIGHT_CYCLES),
+        "volume": ([bpy.types.Volume.bl_rna], "data.", tables.VOLUME, VOLUME),
+        "volume.render": ([bpy.types.VolumeRender.bl_rna], "data.render.", tables.VOLUME, VOLUME_RENDER),
+        "volume.display": ([bpy.types.VolumeDisplay.bl_rna], "", (), VOLUME_DISPLAY),
+        "material": ([bpy.types.Material.bl_rna], "", tables.VOLUME_MATERIAL, MATERIAL),
+        "material.cycles": ([fog.cycles.bl_rna], "cycles.", tables.VOLUME_MATERIAL, MATERIAL_CYCLES),
         "world": ([bpy.types.World.bl_rna], "", tables.WORLD, WORLD),
         "world.cycles": ([world.cycles.bl_rna], "cycles.", tables.WORLD, WORLD_CYCLES),
         "world.cycles_visibility": ([world.cycles_visibility.bl_rna], "", (), WORLD_VISIBILITY),
@@ -173,10 +207,12 @@ def changed(owner, path):
     return True
 
 
-@pytest.mark.parametrize("name", ["LIGHT", "CAMERA", "WORLD", "SCENE", "VIEW_LAYER"])
+@pytest.mark.parametrize("name", ["LIGHT", "VOLUME", "VOLUME_MATERIAL", "CAMERA", "WORLD", "SCENE", "VIEW_LAYER"])
 def test_each_ignored_setting_is_named_once_it_is_set(addon, scene, lit, name):
     owner = {
         "LIGHT": scene.objects["Sun"],
+        "VOLUME": scene.objects["Cloud"],
+        "VOLUME_MATERIAL": scene.objects["Cloud"].data.materials[0],
         "CAMERA": scene.camera.data,
         "WORLD": scene.world,
         "SCENE": scene,
