@@ -101,7 +101,8 @@ class WorldSource:
             while len(self._views) >= MAX_VIEWS:
                 del self._views[next(iter(self._views))]
             self._views[key] = found
-        return self._views[key] * np.float32(camera.exposure)
+        found = self._views[key]
+        return found if camera.exposure == 1.0 else found * np.float32(camera.exposure)
 
     def _ask(self, job: dict, check: Callable[[], None], seconds: float = SECONDS) -> dict:
         if self._unsaved:
