@@ -11,9 +11,12 @@ _numbers = itertools.count()
 
 def openvdb():
     """Blender's own OpenVDB module, found without the extension."""
-    bpy.utils.expose_bundled_modules()
-    import openvdb as module
-
+    if hasattr(bpy.utils, "expose_bundled_modules"):  # 4.4 and later
+        bpy.utils.expose_bundled_modules()
+    try:
+        import openvdb as module
+    except ImportError:
+        import pyopenvdb as module
     return module
 
 

@@ -1,0 +1,358 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Doors: the ways through which a scene is sent, each judged by what must hold whatever the scene is.
+
+A later door is a function here and its entry in DOORS. Each raises AssertionError that says what does not hold.
+"""
+
+import functools
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+
+import bpy
+import numpy as np
+
+from tests.support import blender_scenes
+
+from .covering import Row
+from .features import SIZE, Stage, is_dark
+from .pictures import PARTS, Picture, check_range, check_same, image_pixels, read_picture, render, write_passes
+
+# Pictures of one scene by different doors, relative to the brightest value.
+SAME = 2e-3
+# Means of two eyes, which see a scene from 0.4 apart at a distance of 4.5.
+EYES = 0.2
+# Light of the bake along its rays beside the layer's, relative to the mean: of the mean, and of pixels, which see the
+# edges of few coarse voxels.
+BAKED_MEAN, BAKED = 0.1, 0.2
+# Alpha beside Cycles', whose noise at so few samples is a third of this.
+CYCLES_SAMPLES, CYCLES_MEAN = 64, 0.02
+# Why Bake Light and Compare with Cycles refuse a scene in which nothing shines; the other doors show it black.
+REFUSAL = "the scene shows no sun and no lamp"
+# What Compare with Cycles says where the program's own Cycles is broken, as Debian's of 5.2 is.
+BROKEN_CYCLES = "does not render volumes correctly here"
+
+
+@dataclass
+class Shot:
+    """A row's scene. package: the extension."""
+
+    row: Row
+    stage: Stage
+    package: ModuleType
+
+    @property
+    def scene(self) -> "bpy.types.Scene":
+        return self.stage.scene
+
+    @property
+    def transparent(self) -> bool:
+        return self.scene.render.film_transparent
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Of the views' files."""
+        return ("_L", "_R") if self.scene.render.use_multiview else ("",)
+
+    @functools.cached_property
+    def pictures(self) -> dict[str, Picture]:
+        """What F12 makes of it, by the views' suffixes: the reference of other doors."""
+        write_passes(self.scene)
+        return render(self.scene, self.stage.folder, self.suffixes)
+
+    @functools.cached_property
+    def picture(self) -> Picture:
+        """What F12 makes of it, seen from the camera itself."""
+        if not self.scene.render.use_multiview:
+            return self.pictures[""]
+        self.scene.render.use_multiview = False
+        write_passes(self.scene)
+        try:
+            return render(self.scene, self.stage.folder)[""]
+        finally:
+            self.scene.render.use_multiview = True
+
+    def folder(self, name: str) -> Path:
+        made = self.stage.folder / name
+        made.mkdir(exist_ok=True)
+        return made
+
+
+def refuses(shot: Shot, call: Callable[[], object]) -> bool:
+    """Call an operator; whether it refuses the scene because nothing shines in it, and only then."""
+    try:
+        call()
+    except RuntimeError as error:
+        assert REFUSAL in str(error) and is_dark(shot.row), f"refused: {error}"
+        return True
+    assert not is_dark(shot.row), "a scene without light is not refused"
+    return False
+
+
+def check_scene(shot: Shot) -> None:
+    """Every row goes through this door, too: it is quick."""
+    bpy.ops.mrpnn.check()
+
+
+def f12(shot: Shot) -> None:
+    """Every view's parts and light groups add up to the whole, and twice the light is twice as bright."""
+    scene, pictures = shot.scene, shot.pictures
+    for suffix, picture in pictures.items():
+        check_sums(shot, picture)
+        # Two eyes, near each other, see much the same.
+        apart = abs(picture.layer().mean() - shot.picture.layer().mean())
+        assert apart <= EYES * shot.picture.layer().mean(), f"view {suffix} differs by {apart:.3g} in the mean"
+    double_the_light(scene)
+    for suffix, brighter in render(scene, shot.stage.folder, shot.suffixes).items():
+        check_same(f"twice the light{suffix}", brighter.layer(), 2.0 * pictures[suffix].layer(), SAME)
+        alphas = (one.channels["ViewLayer.Combined.A"] for one in (brighter, pictures[suffix]))
+        check_same(f"alpha in twice the light{suffix}", *alphas, SAME)
+
+
+def check_sums(shot: Shot, picture: Picture) -> None:
+    """The parts and the light groups of each view layer add up to the whole."""
+    for view_layer in shot.scene.view_layers:
+        name = view_layer.name
+        combined, layer = picture.colour(f"{name}.Combined", "RGBA"), picture.layer(name)
+        check_range(name, combined)
+        for part in PARTS:
+            check_range(f"{name}.{part}", picture.colour(f"{name}.{part}"))
+        if shot.transparent or shot.row["world"] == "black":
+            check_same(f"{name}: combined beside its parts", combined[..., :3], layer, SAME)
+        if len(view_layer.lightgroups):
+            groups = [picture.colour(f"{name}.Combined_{group.name}") for group in view_layer.lightgroups]
+            check_same(f"{name}: light groups together", np.sum(groups, axis=0), layer, SAME)
+
+
+def double_the_light(scene: "bpy.types.Scene") -> None:
+    for data in bpy.data.lights:
+        data.energy *= 2.0
+    names = {"EMISSION": "Strength", "BACKGROUND": "Strength", "PRINCIPLED_VOLUME": "Emission Strength"}
+    for tree in [scene.world.node_tree, *(material.node_tree for material in bpy.data.materials)]:
+        for node in tree.nodes:
+            if node.type in names:
+                node.inputs[names[node.type]].default_value *= 2.0
+
+
+def animation(shot: Shot) -> None:
+    """Both frames are written, whatever the second one lacks."""
+    scene, folder = shot.scene, shot.folder("animation")
+    write_passes(scene)
+    scene.render.filepath = f"{folder}/####"
+    bpy.ops.render.render(animation=True)
+    frames, suffixes = [scene.frame_start, scene.frame_end], shot.suffixes
+    written = sorted(path.stem for path in folder.iterdir())
+    assert written == sorted(f"{frame:04}{suffix}" for frame in frames for suffix in suffixes), written
+    for name in written:
+        picture = read_picture(folder / f"{name}.exr")
+        check_range(name, picture.colour("ViewLayer.Combined", "RGBA"))
+        missing = shot.row["volume"] == "sequence with a gap" and int(name[:4]) == frames[1]
+        assert not (missing and shot.row["placement"] != "overlapping" and picture.layer().any())
+
+
+def viewport(shot: Shot) -> None:
+    """Every picture of Rendered shading, in a view that is the camera's: the last one is F12's layer."""
+    engine, scene = shot.package.mrpnn_addon.engine, shot.scene
+    depsgraph = blender_scenes.depsgraph()
+    description = shot.package.mrpnn_addon.scene.reader.read_view(depsgraph, view_3d())
+    lens, part = scene.camera.data, engine.viewport.WHOLE
+    if scene.render.use_border:
+        render_settings = scene.render
+        part = (
+            render_settings.border_min_x,
+            render_settings.border_min_y,
+            render_settings.border_max_x,
+            render_settings.border_max_y,
+        )
+    if lens.type == "PANO":
+        # A viewport shows no panorama.
+        camera = shot.package.mrpnn_addon.objects.camera.read_camera(depsgraph)[0]
+    else:
+        camera = engine.viewport.viewport_camera(
+            scene.camera.matrix_world.normalized().inverted(),
+            scene.camera.calc_matrix_camera(depsgraph, x=SIZE[0], y=SIZE[1]),
+            lens.type == "PERSP",
+            SIZE,
+            lens.clip_end,
+            part,
+        )
+    settings = scene.mrpnn.settings()
+    shared = engine.preview.Prepared(shot.package.inference.RenderCache())
+    # The second view finds what the first one has computed, and takes other steps.
+    for number in (1, 2):
+        preview = engine.preview.Preview(description, camera, settings, shared)
+        while not preview.done:
+            time.sleep(0.002)
+        assert not preview.message, f"view {number}: {preview.message}"
+        if not description.volumes:
+            assert preview.picture is None
+            continue
+        picture = preview.picture[::-1]
+        check_range(f"view {number}", picture)
+        x0, y0, x1, y1 = (round(share * size) for share, size in zip(part, SIZE * 2))
+        expected = shot.picture.layer()[SIZE[1] - y1 : SIZE[1] - y0, x0:x1]
+        check_same(f"view {number}", picture[..., :3], expected, SAME)
+
+
+def view_3d() -> "bpy.types.SpaceView3D":
+    areas = (area for screen in bpy.data.screens for area in screen.areas)
+    return next(area.spaces.active for area in areas if area.type == "VIEW_3D")
+
+
+def render_volumes(shot: Shot) -> None:
+    """The images and the files of Render Volumes are F12's layers."""
+    path = shot.stage.folder / "layer.exr"
+    bpy.ops.mrpnn.render(filepath=str(path))
+    for suffix in shot.suffixes:
+        pixels = image_pixels(bpy.data.images[f"MRPNN{suffix}"])
+        check_range("the image", pixels)
+        check_same("the file", read_picture(path, suffix).colour("ViewLayer.Combined", "RGBA"), pixels, SAME)
+        check_same("the image", pixels[..., :3], shot.pictures[suffix].layer(), SAME)
+        if shot.transparent:
+            check_same("alpha", pixels[..., 3], shot.pictures[suffix].channels["ViewLayer.Combined.A"], SAME)
+
+
+def composite(shot: Shot) -> None:
+    """Composite over Cycles shows, over nothing, the layer itself, and leaves no trace when it is removed."""
+    scene = shot.scene
+    over_nothing = shot.row["surface"] == "none" and (shot.transparent or shot.row["world"] == "black")
+    expected = shot.picture.layer() if over_nothing else None
+    scene.render.use_multiview = False
+    before = state()
+    assert bpy.ops.mrpnn.composite() == {"FINISHED"}
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.device = 1, False, "CPU"
+    found = blender_scenes.rendered(scene, shot.stage.folder, transparent=shot.transparent)
+    check_range("the composite", found)
+    if expected is not None:
+        check_same("over nothing", found[..., :3], expected, SAME)
+    assert bpy.ops.mrpnn.composite_remove() == {"FINISHED"}
+    assert state() == before
+
+
+def state() -> dict[str, list[str]]:
+    """Names of what the file holds."""
+    kinds = ("objects", "volumes", "materials", "collections", "node_groups", "scenes", "worlds")
+    return {kind: sorted(block.name for block in getattr(bpy.data, kind)) for kind in kinds}
+
+
+def bake(shot: Shot) -> None:
+    """Baked light along its own rays is the layer's multiple scattering; its removal leaves no trace."""
+    before, folder = state(), shot.folder("light")
+    if refuses(shot, lambda: bpy.ops.mrpnn.bake_light(folder=str(folder), directional=False)):
+        return
+    description = shot.package.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    lights = [shown for shown in bpy.data.objects if "mrpnn_light" in shown]
+    assert len(lights) == len(description.volumes) == len(list(folder.glob("*.vdb")))
+    assert all(shown.data.grids.load() for shown in lights)
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert state() == before
+    if description.volumes:
+        check_baked(shot.package.inference, description)
+
+
+def check_baked(inference: ModuleType, description: object) -> None:
+    """Without surfaces: what they throw back is baked together with what scatters once."""
+    volumes, lights, view = description.volumes, description.lights, description.camera
+    lit = inference.bake(volumes, lights, view, inference.Settings(directional=False))
+    expected = inference.render(volumes, lights, view, inference.Settings(16)).multiple
+    dark = [(replace(volume, emission=None), replace(medium, albedo=np.zeros(3))) for volume, medium in volumes]
+    glow = [
+        (inference.Volume(np.ones(one.emission.shape[:3]), one.world_from_index, one.name, one.emission),
+         inference.Medium(0.0)) for one in lit
+    ]  # fmt: skip
+    settings = inference.Settings(multiple=False)
+    found = inference.render([*dark, *glow], [inference.Sun((0.0, 0.0, 1.0), 0.0)], view, settings).emission
+    check_range("the bake", found)
+    if expected.max() > 1e-6:
+        means = f"means {found.mean():.4g} and {expected.mean():.4g}"
+        bias = abs(found.mean() / expected.mean() - 1.0)
+        apart = np.sqrt(np.mean((found - expected) ** 2)) / expected.mean()
+        assert bias <= BAKED_MEAN and apart <= BAKED, f"the bake differs by {apart:.3g} of the mean ({means})"
+
+
+def command_render(shot: Shot) -> None:
+    """`--command mrpnn render` writes F12's layers, with their parts."""
+    path = shot.stage.folder / "command.exr"
+    (frame,) = run_command(shot, "render", "--output", str(path))["frames"]
+    assert Path(frame["file"]).exists()
+    for suffix in shot.suffixes:
+        layer, expected = read_picture(path, suffix), shot.pictures[suffix]
+        check_range("the file", layer.colour("ViewLayer.Combined", "RGBA"))
+        brightest = max(expected.layer().max(), 1e-6)
+        check_same("the file", layer.colour("ViewLayer.Combined"), expected.layer(), SAME)
+        for name, part in zip(("Single", "Multiple", "Emission"), PARTS):
+            apart = np.abs(layer.colour(f"ViewLayer.{name}") - expected.colour(f"ViewLayer.{part}")).max()
+            assert apart <= SAME * brightest, f"{name} differs by {apart:.3g}"
+
+
+def command_bake(shot: Shot) -> None:
+    """`--command mrpnn bake` writes light and a file that shows it."""
+    folder = shot.folder("light")
+    found = run_command(shot, "bake", "--folder", str(folder), "--save", str(folder / "lit.blend"), "--no-directions")
+    assert (folder / "lit.blend").exists()
+    files = [path for frame in found["frames"] for path in frame["files"].values()]
+    assert all(Path(path).exists() for path in files)
+
+
+def run_command(shot: Shot, *arguments: str) -> dict:
+    """The command's results."""
+    facts = shot.stage.folder / "facts.json"
+    status = shot.package.operators.command.main([*arguments, "--json", str(facts)])
+    found = json.loads(facts.read_text())
+    assert status == 0, found["error"]
+    return found
+
+
+def compare(shot: Shot) -> None:
+    """Compare with Cycles comes to its report."""
+    folder = shot.folder("comparison")
+    options = dict(samples=1, ladder=0, denoised=False, bounces=4, scale=100, folder=str(folder))
+    try:
+        if refuses(shot, lambda: bpy.ops.mrpnn.compare(**options)):
+            return
+    except AssertionError as error:
+        if BROKEN_CYCLES in str(error):
+            return
+        raise
+    assert list(folder.rglob("*.html"))
+
+
+def check_alpha(shot: Shot) -> None:
+    """Alpha is Cycles', in a scene whose surfaces cut out of the volumes what they hide, as in a layer."""
+    scene, inference = shot.scene, shot.package.inference
+    scene.render.use_multiview = False
+    description = shot.package.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    layer = inference.render(
+        description.volumes, [], description.camera, inference.Settings(multiple=False), surfaces=description.surfaces
+    )
+    for surface in shot.stage.surfaces:
+        surface.is_holdout = True
+    for light in [shown for shown in scene.objects if shown.type == "LIGHT"]:
+        bpy.data.objects.remove(light)
+    scene.world = bpy.data.worlds.new("Black")
+    scene.world.color = 0.0, 0.0, 0.0
+    while len(scene.view_layers) > 1:
+        scene.view_layers.remove(scene.view_layers[-1])
+    scene.render.use_border = False
+    expected = blender_scenes.render_cycles(scene, shot.stage.folder, CYCLES_SAMPLES)[..., 3]
+    apart = np.abs(layer.alpha - expected).mean()
+    means = f"means {layer.alpha.mean():.4g} and {expected.mean():.4g}"
+    assert apart <= CYCLES_MEAN, f"alpha differs from Cycles' by {apart:.3g} ({means})"
+
+
+Door = Callable[[Shot], None]
+DOORS: dict[str, Door] = {
+    "f12": f12,
+    "animation": animation,
+    "viewport": viewport,
+    "render volumes": render_volumes,
+    "composite": composite,
+    "bake": bake,
+    "command render": command_render,
+    "command bake": command_bake,
+    "compare": compare,
+    "cycles' alpha": check_alpha,
+}

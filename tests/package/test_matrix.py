@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The matrix of doors and features in whole Blender programs, with the installed extension."""
+
+import shutil
+
+from tests.support.paths import ROOT
+from tests.support.programs import MARKS
+
+pytestmark = MARKS
+
+
+def test_every_door_opens_for_every_feature(program):
+    # What a Blender program sees, which may not see the repository.
+    tests = program.folder / "tests"
+    shutil.copytree(ROOT / "tests" / "matrix", tests / "matrix")
+    (tests / "support").mkdir()
+    shutil.copy(ROOT / "tests" / "support" / "blender_scenes.py", tests / "support")
+    for folder in (tests, tests / "support"):
+        (folder / "__init__.py").touch()
+    process = program.start("-b", "--python", tests / "matrix" / "run.py", "--")
+    out, error = process.communicate(timeout=3600)
+    assert process.returncode == 0, out[-20000:] + error[-3000:]
