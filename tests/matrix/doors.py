@@ -29,7 +29,7 @@ EYES = 0.2
 # edges of few coarse voxels.
 BAKED_MEAN, BAKED = 0.1, 0.2
 # Alpha beside Cycles', whose noise at so few samples is a third of this.
-CYCLES_SAMPLES, CYCLES_MEAN = 64, 0.02
+CYCLES_SAMPLES, CYCLES_MEAN = 256, 0.02
 # Why Bake Light and Compare with Cycles refuse a scene in which nothing shines; the other doors show it black.
 REFUSAL = "the scene shows no sun and no lamp"
 # What Compare with Cycles says where the program's own Cycles is broken, as Debian's of 5.2 is.
@@ -323,7 +323,7 @@ def compare(shot: Shot) -> None:
 def check_alpha(shot: Shot) -> None:
     """Alpha is Cycles', in a scene whose surfaces cut out of the volumes what they hide, as in a layer."""
     scene, inference = shot.scene, shot.package.inference
-    scene.render.use_multiview = False
+    scene.render.use_multiview = scene.render.use_border = False
     description = shot.package.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
     layer = inference.render(
         description.volumes, [], description.camera, inference.Settings(multiple=False), surfaces=description.surfaces
@@ -336,8 +336,10 @@ def check_alpha(shot: Shot) -> None:
     scene.world.color = 0.0, 0.0, 0.0
     while len(scene.view_layers) > 1:
         scene.view_layers.remove(scene.view_layers[-1])
-    scene.render.use_border = False
-    expected = blender_scenes.render_cycles(scene, shot.stage.folder, CYCLES_SAMPLES)[..., 3]
+    blender_scenes.set_up_cycles(scene, CYCLES_SAMPLES)
+    # Through the middle of each pixel, as the layer's rays.
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    expected = blender_scenes.rendered(scene, shot.stage.folder)[..., 3]
     apart = np.abs(layer.alpha - expected).mean()
     means = f"means {layer.alpha.mean():.4g} and {expected.mean():.4g}"
     assert apart <= CYCLES_MEAN, f"alpha differs from Cycles' by {apart:.3g} ({means})"
