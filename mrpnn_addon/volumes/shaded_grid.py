@@ -352,7 +352,7 @@ def refine(values: np.ndarray, outside: float = 0.0) -> np.ndarray:
         at[axis] = slice(0, None, 2)
         lower, upper = [slice(None)] * 3, [slice(None)] * 3
         lower[axis], upper[axis] = slice(None, -1), slice(1, None)
-        fine[tuple(at)] = 0.5 * (padded[tuple(lower)] + padded[tuple(upper)])
+        fine[tuple(at)] = 0.5 * padded[tuple(lower)] + 0.5 * padded[tuple(upper)]
         values = fine
     return values
 
