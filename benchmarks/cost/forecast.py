@@ -79,6 +79,14 @@ def floor(scene: "bpy.types.Scene") -> None:
     grey(scene)
 
 
+def cube_in_smoke(scene: "bpy.types.Scene") -> None:
+    """As Quick Smoke makes it, on which the cube is what gives off smoke."""
+    file(scene, SMOKE, Density=5.0)
+    bpy.ops.mesh.primitive_cube_add(size=0.8)
+    lamps(scene, "POINT", 1)
+    grey(scene)
+
+
 def two_clouds(scene: "bpy.types.Scene") -> None:
     file(scene, WIND, Density=20.0)
     file(scene, SMOKE, Density=1.0).location.x += 1.0
@@ -99,6 +107,7 @@ SCENES: dict[str, Callable] = {
     "fog in a cube, three spots": lambda scene: [box(scene, 0.5), lamps(scene, "SPOT", 3)],
     "fog in a cube, grey World": lambda scene: [box(scene, 0.5), grey(scene)],
     "cloud over a floor, grey World": floor,
+    "cube in smoke, grey World": cube_in_smoke,
     "two clouds, a point lamp": two_clouds,
     "thick fog in a cube, an area lamp": lambda scene: [box(scene, 8.0), lamps(scene, "AREA", 1)],
     "fire, grey World": fire,

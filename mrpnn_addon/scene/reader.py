@@ -110,9 +110,9 @@ class SceneDescription:
         boxes, channels = [box for box, _ in self.boxes], [channels for _, channels in self.boxes]
         lamps, worlds = len(self.lamps), len(self.environments)
         lights = len(predicted_suns(merge_parallel(self.suns))) + lamps + worlds
-        surfaces, most = bool(self.opaque), max(channels)
+        surfaces = [surface.triangles.reshape(-1, 3) for surface in self.surfaces if len(surface.triangles)]
         return estimate_workload(
-            boxes, self.camera, lights, depth_samples, most, lamps=lamps, worlds=worlds, surfaces=surfaces
+            boxes, self.camera, lights, depth_samples, max(channels), surfaces, lamps=lamps, worlds=worlds
         )
 
     @property

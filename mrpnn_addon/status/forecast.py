@@ -63,7 +63,7 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     settings = scene_settings(depsgraph.scene).settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        boxes, channels, lamps, lights, placed, surfaces = [], 1, 0, [], 0, False
+        boxes, channels, lamps, lights, placed, surfaces = [], 1, 0, [], 0, []
         for shown in visible_objects(depsgraph):
             if shows_volume(shown.object):
                 if not (
@@ -81,15 +81,16 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
                 placed += others
                 warnings += noted
             elif shown.object.type in SURFACES:
-                surfaces = True
+                corners = np.array(shown.object.bound_box, float)
+                surfaces.append(corners @ shown.matrix[:3, :3].T + shown.matrix[:3, 3])
         world = lights_volumes(depsgraph.scene.world)
         sky = sky_seconds(depsgraph, camera)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
     count = len(predicted_suns(merge_parallel(lights))) + placed + world
-    more: dict[str, Any] = {"lamps": placed, "worlds": int(world), "surfaces": surfaces, "sky": sky}
-    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels, **more)
-    points = workload.window * settings.depth_samples * count
+    more: dict[str, Any] = {"lamps": placed, "worlds": int(world), "sky": sky}
+    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels, surfaces, **more)
+    points = workload.window * settings.depth_samples * workload.lights
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
     seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)
     return Forecast(

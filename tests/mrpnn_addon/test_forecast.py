@@ -153,6 +153,7 @@ def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
                 "fog in a cube, three spots",
                 "camera in smoke, grey World",
                 "cloud over a floor, grey World",
+                "cube in smoke, grey World",
                 "two clouds, a point lamp",
             )
         ),
