@@ -17,6 +17,9 @@ CLOSED = 1e-3
 PARTS = 512
 # Number of patches up to which a sphere stands for a closed mesh better than they do.
 FEW_PATCHES = 6
+# Standard deviation along its longest axis, over the radius of the sphere of its area, from which on a body is not
+# compact: 0.58 for a ball, 0.71 for a flat disk.
+STRETCHED = 0.7
 #: Moments of a patch along its axes that differ by less, relatively, are taken as equal.
 ALIKE = 1e-3
 # Ratio of the principal moments of a patch below which its own edges tell its orientation.
@@ -79,8 +82,7 @@ class MeshLight(Lamp):
         apart = self.extent / max(distance_from_box(self.centre, low, high), 1e-6 * self.extent)
         count = min(1 if apart < SMALL else 4 if apart < MEDIUM_SIZE else MOST, most)
         if self.closed and count <= FEW_PATCHES:
-            # A convex body shines as a sphere of its area does, on the average.
-            return [SphereEmitter(self.centre, self.centre, float(np.sqrt(self.area / (4.0 * np.pi))))]
+            return self._spheres(count)
         corners = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
         for parts in (count, max(count // 2, 1)):
             sided = [
@@ -96,6 +98,25 @@ class MeshLight(Lamp):
         found = [QuadEmitter(patch, normal / np.linalg.norm(normal), radiance) for patch, normal in sided]
         # It faces nothing.
         return found or [SphereEmitter(self.centre, self.centre, 0.0, 0.0)]
+
+    def _spheres(self, count: int) -> list[SphereEmitter]:
+        """At most so many spheres that stand for a closed mesh: one for a compact body, more along a ring or a tube."""
+        parts, vectors = self._parts
+        middles, areas = parts.mean(axis=1), np.linalg.norm(vectors, axis=1)
+        groups, found = [np.arange(len(parts))], []
+        while groups:
+            group = groups.pop(0)
+            spread, axis, mean = _spread(middles[group], areas[group])
+            area = float(areas[group].sum())
+            # A convex body shines as a sphere of its area does, on the average.
+            radius = float(np.sqrt(area / (4.0 * np.pi)))
+            upper = middles[group] @ axis > mean @ axis
+            compact = spread <= area * (STRETCHED * radius) ** 2
+            if compact or upper.all() or not upper.any() or len(found) + len(groups) + 2 > count:
+                found.append(SphereEmitter(mean, mean, radius, area / self.area))
+            else:
+                groups += [group[upper], group[~upper]]
+        return found
 
     def _patches(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Quadrilaterals (4, 3) of at most so many patches of the mesh, and their vector areas (3,)."""

@@ -99,3 +99,44 @@ def test_the_picture_of_a_panel_is_that_of_an_area_light():
     assert not linked.rgb.any()
     brighter = render(volumes, [], view, settings, surfaces=[replace(panel(-0.8, covers=False), emission=6.0)])
     assert brighter.rgb == pytest.approx(3.0 * by_mesh.rgb, rel=1e-4)
+
+
+def ring(radius=1.0, thickness=0.05, segments=24, sides=6):
+    """A torus in the XY plane around the origin."""
+    around, across = (2.0 * np.pi * np.arange(count + 1) / count for count in (segments, sides))
+    out = radius + thickness * np.cos(across)
+    points = np.stack(
+        [
+            np.cos(around)[:, None] * out,
+            np.sin(around)[:, None] * out,
+            np.broadcast_to(thickness * np.sin(across), (segments + 1, sides + 1)),
+        ],
+        axis=2,
+    )
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    triangles = np.concatenate([np.stack(one, axis=2).reshape(-1, 3, 3) for one in ((a, b, c), (a, c, d))])
+    return Surface(triangles, "ring", emission=2.0)
+
+
+def two_balls():
+    """On both sides of the box, in one mesh."""
+    halves = [ball(np.array([x, 0.0, 0.0]), 0.1).triangles for x in (-1.0, 1.0)]
+    return Surface(np.concatenate(halves), "balls", emission=2.0)
+
+
+def summed(surface, points=POINTS):
+    """What all triangles of a closed surface give points, without those that face away."""
+    triangles = surface.triangles
+    vectors = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    away = points[:, None] - triangles.mean(axis=1)
+    cosines = np.maximum((away * vectors).sum(axis=2), 0.0)
+    return 2.0 * (cosines / np.linalg.norm(away, axis=2) ** 3).sum(axis=1)
+
+
+@pytest.mark.parametrize("surface", [ring(), two_balls()], ids=["ring", "two balls"])
+@pytest.mark.parametrize("most", [16, 6])
+def test_a_mesh_around_volumes_does_not_shine_from_their_middle(surface, most):
+    light, exact = MeshLight(surface), summed(surface)
+    found = sum(part.fluence(POINTS) for part in light.emitters(LOW, HIGH, most)) * light.power[0]
+    assert np.sqrt(((found - exact) ** 2).mean()) < 0.2 * exact.mean()
+    assert found.mean() == pytest.approx(exact.mean(), rel=0.15)
