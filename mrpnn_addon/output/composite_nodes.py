@@ -34,6 +34,8 @@ def build_nodes(scene: "bpy.types.Scene", volumes: "bpy.types.Scene") -> bool:
     tree, result = _compositor(scene)
     layer = _node(tree, "volumes", "CompositorNodeRLayers")
     over = _node(tree, "over", "CompositorNodeAlphaOver")
+    # Before the node is told, which then offers the depth.
+    volumes.view_layers[0].use_pass_z = True
     layer.scene, layer.layer = volumes, volumes.view_layers[0].name
     layer.mute = over.mute = False
     sockets = _sockets(over)

@@ -261,6 +261,14 @@ def test_differences_that_do_not_follow_are_named_and_repaired(addon, scene, clo
     assert found.max() > 0.01
 
 
+def test_a_panorama_without_a_depth_pass_is_composited(addon, scene, cloud, tmp_path):
+    turned_panorama(scene)
+    scene.view_layers[0].use_pass_z = False
+    assert bpy.ops.mrpnn.composite(shadows=False) == {"FINISHED"}
+    found = blender_scenes.render_cycles(scene, tmp_path, samples=1)
+    np.testing.assert_allclose(found, layer_of(scene), rtol=1e-3, atol=1e-5)
+
+
 @pytest.mark.parametrize("persistent", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path, persistent):
     wall(scene, -3.0)
