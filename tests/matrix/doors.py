@@ -181,6 +181,7 @@ def viewport(shot: Shot) -> None:
             lens.clip_end,
             part,
         )
+    camera = replace(camera, exposure=shot.package.mrpnn_addon.objects.camera.film_exposure(scene))
     settings = scene.mrpnn.settings()
     shared = engine.preview.Prepared(shot.package.inference.RenderCache())
     # The second view finds what the first one has computed, and takes other steps.
