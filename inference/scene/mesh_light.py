@@ -103,7 +103,8 @@ class MeshLight(Lamp):
         """At most so many spheres that stand for a closed mesh: one for a compact body, more along a ring or a tube."""
         parts, vectors = self._parts
         middles, areas = parts.mean(axis=1), np.linalg.norm(vectors, axis=1)
-        groups, found = [np.arange(len(parts))], []
+        groups = [np.arange(len(parts))]
+        found: list[SphereEmitter] = []
         while groups:
             group = groups.pop(0)
             spread, axis, mean = _spread(middles[group], areas[group])
