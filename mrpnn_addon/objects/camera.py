@@ -40,22 +40,25 @@ def read_camera(
 
     The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
 
-    Raises SceneError without a camera, for a panoramic camera that is not equirectangular, for one of scale 0, and for
-    non-square pixels.
+    Raises SceneError without a camera, where it is another object, for a panoramic camera that is not equirectangular,
+    for one of scale 0, and for non-square pixels.
     """
     scene = depsgraph.scene
     if scene.camera is None:
         raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
     camera = view_camera(scene, view).evaluated_get(depsgraph)
     lens: Any = camera.data
+    if camera.type != "CAMERA":
+        raise SceneError(
+            f'the scene\'s camera is "{camera.name}", which is not a camera; choose one in the scene properties'
+        )
     eye = eye_of(lens, scene, view)
     where = f'camera "{camera.name}"'
     panorama = _panorama(lens) if lens.type == "PANO" else None
     if lens.type not in PROJECTIONS or panorama not in (None, "EQUIRECTANGULAR"):
-        raise SceneError(
-            f"{where} is of type {panorama or lens.type}; only perspective, orthographic and "
-            "equirectangular are supported"
-        )
+        owner, name = (panorama_settings(lens), "panorama_type") if panorama else (lens, "type")
+        kind = owner.bl_rna.properties[name].enum_items[getattr(owner, name)].name
+        raise SceneError(f"{where} is of type {kind}; only Perspective, Orthographic and Equirectangular are rendered")
     matrix = np.array(camera.matrix_world, dtype=np.float64)
     problem = placement_problem(matrix)
     if problem:

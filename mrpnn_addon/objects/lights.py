@@ -9,7 +9,7 @@ import numpy as np
 from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun, soft_sun
 from ..nodes.evaluation import NodeEvaluator, Nowhere
 from ..nodes.light_shader import EMISSION, emitted
-from ..nodes.sockets import Unsupported, active_output, source_of
+from ..nodes.sockets import Unsupported, active_output, has_nodes, source_of
 from .ignored_settings import LIGHT, ignored_settings
 from .placement import placement_problem
 from .visibility import VisibleObject
@@ -39,6 +39,7 @@ def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
     # angle.
     irradiance *= 2.0 / (1.0 + math.cos(lamp.angle / 2.0))
     irradiance *= _node_factor(lamp, name)
+    _require_light(irradiance, name)
     return soft_sun(shown.matrix[:3, 2], irradiance, lamp.angle, name), ignored_settings(shown.object, LIGHT, name)
 
 
@@ -58,6 +59,7 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
     if problem:
         raise SceneError(f"{name}: {problem}")
     power, matrix = _strength(lamp) * _node_factor(lamp, name), np.array(shown.matrix, np.float64)
+    _require_light(power, name)
     warnings = ignored_settings(shown.object, LIGHT, name)
     if lamp.type == "AREA":
         if getattr(getattr(lamp, "cycles", None), "is_portal", False):
@@ -103,11 +105,21 @@ def _strength(lamp: Any) -> np.ndarray:
     return strength
 
 
+def _require_light(strength: np.ndarray, name: str) -> None:
+    """Raises SceneError, naming the lamp, for a strength (3,) that is no light."""
+    if not np.isfinite(strength).all():
+        raise SceneError(f"{name}: its strength is not finite; check its drivers and nodes")
+    if strength.min() < 0.0:
+        raise SceneError(f"{name}: its light is negative, which is not rendered; set its strength and color above 0")
+
+
 def _node_factor(lamp: Any, name: str) -> np.ndarray:
     """RGB factor of the lamp's nodes."""
+    if not has_nodes(lamp):
+        return np.ones(3)
     output = active_output(lamp)
     if output is None:
-        return np.ones(3)
+        return np.zeros(3)
     try:
         return emitted(NodeEvaluator(_OnLamp()), source_of(output.inputs["Surface"]), (EMISSION,))[0]
     except Unsupported as problem:

@@ -225,6 +225,7 @@ def _why_dark(description: SceneDescription, objects: "Iterable[bpy.types.Object
     problems = [problem for problem in description.refused if problem != NO_LIGHT]
     problems += [f"{name} has no strength" for name in dict.fromkeys(light.name for light in description.lights)]
     lights = sorted({f'"{shown.name}"' for shown in objects if shown.type == "LIGHT"})
+    problems += [text for text in description.warnings if text.endswith(" left out") and any(n in text for n in lights)]
     problems += [f"light {name} is hidden" for name in lights if not any(name in problem for problem in problems)]
     return "; ".join(problems) or NO_LIGHT
 

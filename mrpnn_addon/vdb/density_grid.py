@@ -271,7 +271,9 @@ def _clean(values: np.ndarray, grid_name: str) -> list[str]:
         return []
     invalid, negative = ~np.isfinite(values), np.count_nonzero(values[1:] < 0.0)
     values[invalid] = 0.0
-    return [
-        f'grid "{grid_name}" has {negative} negative voxels, whose density is 0 as in Cycles, and '
-        f"{np.count_nonzero(invalid)} NaN or infinite voxels, which were set to 0"
-    ]
+    found = []
+    if negative:
+        found.append(f"{negative} negative voxels, whose density is 0 as in Cycles")
+    if invalid.any():
+        found.append(f"{np.count_nonzero(invalid)} NaN or infinite voxels, which were set to 0")
+    return [f'grid "{grid_name}" has {" and ".join(found)}'] if found else []

@@ -61,7 +61,9 @@ def read_world(
     sphere = Sphere()
     discs: list[Sun] = []
     try:
-        radiance = _radiance(world, output, sphere)
+        radiance = _light(world, output, sphere)
+        warnings += _light_warnings(radiance, name)
+        radiance = np.where(np.isfinite(radiance) & (radiance > 0.0), radiance, 0.0)
     except Unsupported as problem:
         try:
             radiance, discs = _picture(world, scene, sphere, name, check)
@@ -131,10 +133,25 @@ class _Anywhere(Nowhere):
 
 
 def _radiance(world: "bpy.types.World", output: Any, points: Any) -> np.ndarray:
-    """(n, 3) radiance at the directions of `points`."""
+    """(n, 3) radiance at the directions of `points`, where it is positive; NaN is 0, as in Cycles."""
+    light = _light(world, output, points)
+    return np.where(light > 0.0, light, 0.0)
+
+
+def _light(world: "bpy.types.World", output: Any, points: Any) -> np.ndarray:
+    """(n, 3) what the nodes emit at the directions of `points`."""
     if output is None:
         # Without nodes, Blender before 5.0 renders the World's colour.
         plain = bpy.app.version < (5, 0, 0) and not world.use_nodes
         return np.broadcast_to(np.array(world.color) if plain else np.zeros(3), points.directions.shape)
     light = emitted(NodeEvaluator(points), source_of(output.inputs["Surface"]), (BACKGROUND, EMISSION))
-    return np.broadcast_to(np.maximum(light, 0.0), points.directions.shape)
+    return np.broadcast_to(light, points.directions.shape)
+
+
+def _light_warnings(light: np.ndarray, name: str) -> list[str]:
+    """Warnings of what a World emits and shows no light."""
+    if not np.isfinite(light).all():
+        return [f"{name}: its light is not finite; check its drivers and nodes"]
+    if light.min() < 0.0:
+        return [f"{name}: its light is negative in places, which is rendered as none; set its strength above 0"]
+    return []

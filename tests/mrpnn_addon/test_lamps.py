@@ -211,3 +211,24 @@ def test_nodes_of_lamps_that_are_not_rendered_are_named(addon, scene, tmp_path):
         described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
         assert not described.suns and len(described.lamps) == 1
         assert any('sun "Sun"' in text and name in text for text in described.warnings), described.warnings
+
+
+def test_a_lamp_whose_nodes_lead_nowhere_is_black_as_in_cycles(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    lamp = add_lamp(scene, "POINT")
+    lamp.data.use_nodes = True
+    lamp.data.node_tree.nodes.clear()
+    frame = addon.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph())
+    assert not any(light.power.any() for light in frame.lights)
+    assert not blender_scenes.render_cycles(scene, tmp_path, samples=4)[..., :3].any()
+
+
+def test_a_dark_frame_says_that_its_lamp_has_no_area(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    add_lamp(scene, "AREA", size=0.0)
+    (dark,) = [
+        text
+        for text in addon.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph()).warnings
+        if "black" in text
+    ]
+    assert "no area" in dark and "hidden" not in dark

@@ -223,7 +223,8 @@ def test_instances_of_an_invalid_volume_are_named_once(addon, scene, cloud, tmp_
     "mistake, said",
     [
         (lambda sun: setattr(sun.rotation_euler, "x", NAN), "not finite"),
-        (lambda sun: setattr(sun.data, "color", (NAN, 1.0, 1.0)), "finite"),
+        (lambda sun: setattr(sun.data, "color", (NAN, 1.0, 1.0)), "strength is not finite; check"),
+        (lambda sun: setattr(sun.data, "energy", -1.0), "negative"),
         (lambda sun: setattr(sun, "scale", (0.0, 0.0, 0.0)), "scale 0"),
         (lambda sun: nodes_of(sun), "Blackbody"),
     ],
@@ -302,12 +303,18 @@ def test_a_surface_may_be_flat(addon, scene, cloud, scale):
         (lambda camera: setattr(camera, "scale", (0.0, 1.0, 1.0)), '"Camera": it has scale 0'),
         (lambda camera: setattr(camera, "location", (NAN, 0.0, 0.0)), '"Camera": its location'),
         (lambda camera: setattr(camera, "location", (1e30, 0.0, 0.0)), '"Camera": its location or scale exceeds'),
+        (lambda camera: setattr(camera.data, "type", "PANO"), "of type Fisheye Equisolid"),
+        (lambda camera: empty_as_camera(), '"Empty", which is not a camera'),
     ],
 )
 def test_a_camera_that_cannot_be_used_is_an_error(addon, scene, cloud, mistake, said):
     mistake(scene.camera)
     assert said in refusal(addon)
     assert said in addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).problem
+
+
+def empty_as_camera():
+    bpy.context.scene.camera = blender_scenes.add_object(bpy.context.scene, "Empty", None)
 
 
 # Scale 0, and volumes that have not begun

@@ -170,3 +170,14 @@ def test_a_world_that_depends_on_the_view_is_named(addon, scene, tmp_path):
         tree.links.new(coordinates.outputs[output], node.inputs["Color"])
         said = [text for text in read(addon).warnings if "depends on the view" in text]
         assert bool(said) == named and (not named or f'World "World" reads Texture Coordinate > {output}' in said[0])
+
+
+@pytest.mark.parametrize("strength, said", [(-1.0, "negative"), (math.nan, "not finite")])
+def test_a_world_that_is_no_light_is_named(addon, scene, tmp_path, strength, said):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = strength
+    found = read(addon)
+    (warning,) = [text for text in found.warnings if "World" in text]
+    assert said in warning and not found.environment
+    behind = addon.mrpnn_addon.scene.film.world_behind(blender_scenes.depsgraph())
+    assert not np.isnan(behind).any() and behind.min() >= 0.0
