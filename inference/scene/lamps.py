@@ -21,6 +21,8 @@ SHAPES = ("square", "rectangle", "disk", "ellipse")
 SMALL, MEDIUM_SIZE, LARGE = 0.1, 0.35, 1.0
 # Largest number of emitters of a lamp.
 MOST = 16
+#: Spread, in radians, as which narrower ones of area lights are rendered: the beams of their emitters have to overlap.
+LEAST_SPREAD = np.pi / 36.0
 # Radius of a sphere, over the longest edge of the box that it lights, up to which it has one emitter where few serve.
 TOLD_APART = 0.025
 # Centres of emitters that represent a sphere, over its radius: vertices of an octahedron whose variance along any axis
@@ -139,8 +141,9 @@ class AreaLight(Lamp):
 
     world_matrix: (4, 4), from the lamp's frame. shape: one of SHAPES. size: full width before the matrix, one number or
     (x, y). power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiance is power / (pi area). spread: in
-    [0, pi], angle beyond which no light leaves, focused by which the radiance at the angle a from the axis is larger by
-    (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages. receivers: as of Sun.
+    [0, pi], at least LEAST_SPREAD once made: angle beyond which no light leaves, focused by which the radiance at the
+    angle a from the axis is larger by (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages.
+    receivers: as of Sun.
 
     Raises SceneError outside these ranges, for values that are not finite and for a lamp without area.
     """
@@ -163,7 +166,7 @@ class AreaLight(Lamp):
             raise SceneError(f"{self.name}: size must be finite and above 0, not {size.tolist()}")
         self.size = float(size[0]), float(size[1])
         self.power = _power(self.power, self.name)
-        self.spread = min(_not_negative(self.spread, f"{self.name}: spread"), float(np.pi))
+        self.spread = min(max(_not_negative(self.spread, f"{self.name}: spread"), LEAST_SPREAD), float(np.pi))
         across = [self.world_matrix[:3, axis] * size[axis] for axis in (0, 1)]
         self.area = float(np.linalg.norm(np.cross(*across))) * (np.pi / 4.0 if self._round else 1.0)
 

@@ -48,6 +48,7 @@ SHAPES = {
     "disk": ("AREA", dict(shape="DISK", size=0.8)),
     "ellipse": ("AREA", dict(shape="ELLIPSE", size=0.9, size_y=0.4)),
     "spread": ("AREA", dict(size=0.8, spread=math.radians(60.0))),
+    "beam": ("AREA", dict(size=0.8, spread=0.0)),
     "coloured": ("POINT", dict(color=(1.0, 0.5, 0.2), shadow_soft_size=0.0)),
 }
 # Not in every version of Blender.
@@ -56,7 +57,7 @@ NEWER = {
     "per surface": ("POINT", dict(normalize=False, shadow_soft_size=0.3)),
     "per area": ("AREA", dict(normalize=False, shape="DISK", size=0.7)),
 }
-FINE = ("inside", "spot", "soft spot")
+FINE = ("inside", "spot", "soft spot", "beam")
 
 
 @pytest.mark.parametrize("name", [*SHAPES, *NEWER])
