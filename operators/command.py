@@ -18,6 +18,7 @@ from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
 from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER
+from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.runtime.json_file import write_json
 from . import command_actions
 from .bake import FOLDER
@@ -208,7 +209,7 @@ def main(arguments: Sequence[str]) -> int:
     found.update(error=error, seconds=time.perf_counter() - start)
     if options is not None and options.json:
         try:
-            os.makedirs(os.path.dirname(os.path.abspath(options.json)), exist_ok=True)
+            make_folder(os.path.dirname(os.path.abspath(options.json)))
             write_json(options.json, found)
         except (SceneError, OSError) as problem:
             error = error or str(problem)

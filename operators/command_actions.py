@@ -19,6 +19,7 @@ from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.objects.views import view_path, view_paths
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
+from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.scene.reader import SceneDescription
 from ..mrpnn_addon.settings.properties import scene_settings
 from .bake import bake_warnings, light_folder, make_fast
@@ -56,7 +57,7 @@ def _render_frame(
     scene, started = bpy.context.scene, time.perf_counter()
     description = read(frame)
     # As Blender does, once the scene is known to be valid.
-    os.makedirs(os.path.dirname(path), exist_ok=True)
+    make_folder(os.path.dirname(path))
     exr = path.lower().endswith(".exr")
     exr_path = path if exr else None
     finished = render_scene(description, settings, exr_path, console.progress(frame), started=started)

@@ -11,6 +11,7 @@ from ... import inference
 from ...inference.baking.directional_factor import DirectionalFactor
 from ...inference.plan.overlap import overlapping
 from ...inference.scene import SceneError, Settings
+from ..runtime.atomic_write import make_folder
 from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.reader import SceneDescription
@@ -96,7 +97,7 @@ def bake_scene(
         )
     except MemoryError:
         raise SceneError("not enough memory for this bake; resample the grids, or close other programs") from None
-    os.makedirs(target.folder, exist_ok=True)
+    make_folder(target.folder)
     baked = []
     for v, one in zip(wanted, lit):
         name, seconds = names[v], one.report.seconds["total"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...inference.scene import SceneError
 from ..cycles.choices import REFERENCE
-from ..runtime.atomic_write import atomic_write
+from ..runtime.atomic_write import atomic_write, make_folder
 from ..runtime.text import safe_text
 from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
@@ -49,7 +49,7 @@ def writing(run: "ComparisonRun", comparison: Comparison) -> Iterator[Path]:
     A generator of short steps that yields the page's path. Raises SceneError where a file cannot be written.
     """
     path = run.folder / "report.html"
-    run.folder.mkdir(parents=True, exist_ok=True)
+    make_folder(str(run.folder))
     comparison.write_json(str(run.folder / "figures.json"))
     _replace(run.folder / "figures.csv", csv_text(comparison))
     yield path

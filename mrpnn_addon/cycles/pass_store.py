@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...inference.scene.sparse_grid import SparseGrid
-from ..runtime.atomic_write import atomic_write
+from ..runtime.atomic_write import atomic_write, make_folder
 from ..scene.reader import SceneDescription
 from .choices import CHOICES
 
@@ -99,7 +99,7 @@ class PassStore:
 
     def put(self, job: Job, done: Pass) -> None:
         """Write a pass atomically. Raises OSError where it cannot be written."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(str(self.folder))
         facts = {name: value for name, value in vars(done).items() if name != "image"}
         with atomic_write(str(self._path(job))) as file:
             np.savez(file, image=done.image.astype(np.float32), facts=json.dumps(facts))

@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that are complete or absent."""
+"""Files that are complete or absent, and their folders."""
 
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import BinaryIO
+
+
+def make_folder(path: str) -> None:
+    """Make a folder, and those above it, where there is none. Raises OSError, naming it and the reason."""
+    try:
+        os.makedirs(path, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"cannot make the folder {path}: {error.strerror or error}") from error
 
 
 @contextmanager
