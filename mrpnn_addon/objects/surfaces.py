@@ -16,6 +16,8 @@ from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
 from .visibility import VisibleObject
 
+#: Of a transparent mesh with a volume, after its name.
+VOLUME_INSIDE = "so is the volume inside; to render the volume, unlink its surface, or link a white Transparent BSDF"
 SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction", "ShaderNodeHoldout"}
 
 
@@ -71,10 +73,7 @@ def read_surface(
         return None, []
     if any(_is_transparent(material) for material in materials(shown.object)):
         if any(material and has_volume(material) for material in materials(shown.object)):
-            return None, [
-                f"{where} is transparent and left out, and so is the volume inside; to render the volume, unlink its "
-                "surface, or link a white Transparent BSDF"
-            ]
+            return None, [f"{where} is transparent and left out, and {VOLUME_INSIDE}"]
         return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
     # Blender's list of instances reuses one object for all of them; its data is each one's own.
     key = (shown.object.data.name_full, shown.object.data.as_pointer())

@@ -27,7 +27,7 @@ from ..objects.camera import read_camera, read_views
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIAL, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
-from ..objects.surfaces import OpaqueMesh, read_surface, surface_warnings
+from ..objects.surfaces import VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
 from ..objects.views import View, in_one_file
 from ..objects.visibility import (
     VisibleObject,
@@ -316,8 +316,9 @@ def require_volumes(description: SceneDescription) -> None:
 
 
 def _no_volume(description: SceneDescription) -> str:
-    """Why nothing is rendered where no object shows a volume; names a World that does."""
-    return "; ".join([NO_VOLUME, *(text for text in description.warnings if text.endswith(WORLD_FOG))])
+    """Why nothing is rendered where no object shows a volume; names a World and transparent meshes that do."""
+    ends = WORLD_FOG, VOLUME_INSIDE
+    return "; ".join([NO_VOLUME, *(text for text in description.warnings if text.endswith(ends))])
 
 
 def require_all(description: SceneDescription) -> None:

@@ -511,3 +511,16 @@ def test_the_console_shows_no_numpy_warnings(scene, cloud, tmp_path):
     assert run.returncode == 0 and len(list(tmp_path.glob("frame*"))) == 4, said
     assert "RuntimeWarning" not in said and "Traceback" not in said, said
     assert "has scale 0 in frame 1" in said and '"Second": its location' in said
+
+
+def test_glass_around_the_only_volume_is_named(addon, scene):
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.context.object.name = "Tank"
+    blender_scenes.add_fog(bpy.context.object.data, "Tank", "ShaderNodeVolumePrincipled")
+    tree = bpy.context.object.data.materials[0].node_tree
+    glass = tree.nodes.new("ShaderNodeBsdfGlass")
+    tree.links.new(glass.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene)
+    message = refusal(addon)
+    assert '"Tank" is transparent' in message and "unlink its surface" in message
