@@ -157,6 +157,8 @@ def set_up_cycles(scene, samples, bounces=0):
 def rendered(scene, folder, transparent=True):
     """The scene rendered by its engine: float32 (H, W, 4), rows from the top."""
     scene.render.film_transparent = transparent
+    if hasattr(scene.render.image_settings, "media_type"):  # 5.0 and later
+        scene.render.image_settings.media_type = "IMAGE"
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_depth = "32"
     scene.render.image_settings.color_mode = "RGBA"
