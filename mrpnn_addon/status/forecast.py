@@ -63,7 +63,7 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     settings = scene_settings(depsgraph.scene).settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        boxes, channels, lamps, lights, placed, surfaces = [], 1, 0, [], 0, []
+        boxes, channels, volumes, lamps, lights, placed, surfaces = [], 1, 0, 0, [], 0, []
         for shown in visible_objects(depsgraph):
             if shows_volume(shown.object):
                 if not (
@@ -72,8 +72,11 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
                     or has_zero_scale(shown.matrix)
                 ):
                     box, different = box_around(shown)
-                    boxes.append(box)
-                    channels = max(channels, different)
+                    volumes += 1
+                    # Without a file, a volume's box is a point, and nothing of it is rendered.
+                    if np.any(box.high > box.low):
+                        boxes.append(box)
+                        channels = max(channels, different)
             elif shown.object.type == "LIGHT" and shown.visible_to("volume_scatter"):
                 suns, others, noted = _read_light(shown)
                 lamps += bool(suns or others)
@@ -94,7 +97,7 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
     seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)
     return Forecast(
-        len(boxes),
+        volumes,
         count,
         workload.window,
         points,
