@@ -86,10 +86,10 @@ def _parser() -> argparse.ArgumentParser:
         help="samples per pixel in each of the reference's two halves, at most",
     )
     compare.add_argument(
-        "--seconds", type=float, default=0.0, metavar="N", help="time limit for Cycles, roughly; 0: none"
+        "--seconds", type=_number, default=0.0, metavar="N", help="time limit for Cycles, roughly; 0: none"
     )
     compare.add_argument(
-        "--ladder", type=int, default=64, metavar="N", help="highest number of samples per pixel of Cycles; 0: none"
+        "--ladder", type=_whole, default=64, metavar="N", help="highest number of samples per pixel of Cycles; 0: none"
     )
     compare.add_argument("--no-denoise", action="store_true", help="do not measure Cycles with OpenImageDenoise")
     compare.add_argument(
@@ -120,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
             "says so, instead of a picture; the command stops there",
         )
     for action in (compare, report):
-        action.add_argument("--frame", type=int, metavar="N", help="the file's current frame without it")
+        action.add_argument("--frame", type=_whole, metavar="N", help="the file's current frame without it")
 
     for action in (render, bake, compare, report):
         action.add_argument(
@@ -138,10 +138,10 @@ def _parser() -> argparse.ArgumentParser:
         )
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
         for name, kind, metavar in (
-            ("depth-samples", int, "N"),
-            ("seed", int, "N"),
-            ("threads", int, "N"),
-            ("memory-limit", float, "GIB"),
+            ("depth-samples", _whole, "N"),
+            ("seed", _whole, "N"),
+            ("threads", _whole, "N"),
+            ("memory-limit", _number, "GIB"),
             ("model", str, None),
             ("provider", str, None),
             ("resolution-percentage", _positive, "PERCENT"),
@@ -174,8 +174,22 @@ def _optimizations(text: str) -> frozenset:
     )
 
 
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+
+
 def _positive(text: str) -> int:
-    number = int(text)
+    number = _whole(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"{number} is not positive")
     return number

@@ -85,6 +85,8 @@ def bake_scene(
     wanted = sorted(v for group in overlapping(scene.volumes)[0] for v in group if stale and set(group) & set(stale))
     if not wanted:
         return BakedScene(scene.frame, [], names, 0.0, warnings, settings.directional)
+    # Before the work, which a folder that cannot be made would waste.
+    make_folder(target.folder)
     try:
         lit = inference.bake(
             [scene.volumes[v] for v in wanted],
@@ -97,7 +99,6 @@ def bake_scene(
         )
     except MemoryError:
         raise SceneError("not enough memory for this bake; resample the grids, or close other programs") from None
-    make_folder(target.folder)
     baked = []
     for v, one in zip(wanted, lit):
         name, seconds = names[v], one.report.seconds["total"]

@@ -75,6 +75,9 @@ def read_camera(
     if width < 1 or height < 1:
         raise SceneError(f"the render resolution is {width} x {height} pixels; raise it in the output properties")
 
+    if lens.clip_start >= lens.clip_end:
+        raise SceneError(f"{where}: its Clip Start is not below its Clip End, so it sees nothing")
+
     warnings = ignored_settings(lens, CAMERA, f"{where}:") + stereo_warnings(lens, scene, where)
     if panorama:
         return Camera(

@@ -52,5 +52,7 @@ def _unlit(pairs: list[tuple[Volume, Medium]], groups: list[list[int]]) -> list[
 
 
 def _names(pairs: list[tuple[Volume, Medium]], numbers: Sequence[int]) -> str:
-    first, second, *others = (f'"{pairs[v][0].name}"' for v in numbers)
-    return f"{first} and {second}" + (f" and {len(others)} more" if others else "")
+    first, *others = dict.fromkeys(f'"{pairs[v][0].name}"' for v in numbers)
+    if not others:
+        return f"{first}, {len(numbers)} times,"
+    return f"{first} and {others[0]}" + (f" and {len(others) - 1} more" if others[1:] else "")

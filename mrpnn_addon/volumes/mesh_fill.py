@@ -25,10 +25,13 @@ PAIRS_PER_BATCH = 1 << 21
 
 @dataclass
 class Inside:
-    """share: float32 (nx, ny, nz) in [0, 1]. object_from_index: float64 (4, 4), voxel centres to object."""
+    """share: float32 (nx, ny, nz) in [0, 1]. object_from_index: float64 (4, 4), voxel centres to object. inverted:
+    whether the normals point inwards.
+    """
 
     share: np.ndarray
     object_from_index: np.ndarray
+    inverted: bool = False
 
 
 def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[], None] = lambda: None) -> Inside:
@@ -58,7 +61,8 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[]
     index = np.eye(4)
     index[:3, :3] = np.diag(size)
     index[:3, 3] = low + size / 2.0
-    return Inside(share, _frame(axes) @ index)
+    signed_volume = np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return Inside(share=share, object_from_index=_frame(axes) @ index, inverted=bool(signed_volume < 0.0))
 
 
 def _axes(corners: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -86,7 +86,13 @@ class MeshSource(VolumeSource):
             "world": self.matrix @ inside.object_from_index,
             "generated": self.generated @ inside.object_from_index,
         }
-        return shade(self.material, VoxelDomain({}, frames, inside.share), check), inside.object_from_index, []
+        told = []
+        if inside.inverted:
+            told.append(
+                f"{self.where}: its normals point inwards, so Cycles shows no fog in it; recalculate them in Edit Mode "
+                "(Mesh > Normals > Recalculate Outside)"
+            )
+        return shade(self.material, VoxelDomain({}, frames, inside.share), check), inside.object_from_index, told
 
 
 @dataclass

@@ -143,6 +143,8 @@ def test_png_keeps_the_layers_alpha(command, blend):
         (["render", "--output", "x.exr", "--view-layer", "Fog"], "there are: ViewLayer"),
         (["render", "--output", "x.exr", "--memory-limit", "0.001"], "the limit is 0.0 GiB"),
         (["compare", "--samples", "0"], "not positive"),
+        (["report", "--depth-samples", "1e9"], "'1e9' is not a whole number"),
+        (["compare", "--seconds", "soon"], "'soon' is not a number"),
         (["report", "--depth-samples", "0"], "depth samples"),
         (["report", "--leave-out", "empty_space,noise"], "no optimization 'noise'; there are: missed_pixels"),
         (["render", "--output", "x.exr", "--depth-samples", "0"], "depth samples"),

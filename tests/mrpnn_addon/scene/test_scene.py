@@ -445,9 +445,13 @@ def test_cameras_that_cannot_be_rendered_are_refused(addon, scene, tmp_path):
     scene.render.pixel_aspect_x = 2.0
     assert "aspect 2:1" in refusal(addon)
     scene.render.pixel_aspect_x = 1.0
-    scene.camera.data.type = "PANO"
-    scene.camera.data.panorama_type = "FISHEYE_EQUIDISTANT"
-    assert '"Camera" is of type FISHEYE_EQUIDISTANT' in refusal(addon)
+    lens = scene.camera.data
+    lens.clip_start, lens.clip_end = 10.0, 1.0
+    assert '"Camera": its Clip Start is not below its Clip End' in refusal(addon)
+    lens.clip_start, lens.clip_end = 0.1, 100.0
+    lens.type = "PANO"
+    lens.panorama_type = "FISHEYE_EQUIDISTANT"
+    assert '"Camera" is of type Fisheye Equidistant' in refusal(addon)
 
 
 @pytest.mark.parametrize("ends", [(-math.pi, math.pi, -math.pi / 2, math.pi / 2), (-0.3, 1.5, -1.2, 0.7)])

@@ -62,10 +62,18 @@ def test_the_inside_of_a_closed_mesh(addon, scene, make, size):
     np.testing.assert_allclose((volume.world_from_index @ middle)[:3], (1, 2, 3), atol=1e-6)
 
 
-def test_normals_that_point_inwards_enclose_as_well(addon, scene):
-    add_mesh(scene, lambda shape: (cube(shape), bmesh.ops.reverse_faces(shape, faces=shape.faces[:])))
+def test_normals_that_point_inwards_enclose_as_well_and_are_named(addon, scene):
+    """Cycles shows no fog there."""
+    shown, _ = add_mesh(scene, lambda shape: (cube(shape), bmesh.ops.reverse_faces(shape, faces=shape.faces[:])))
     lit(scene)
-    assert total(read(addon).volumes[0][0]) == pytest.approx(8.0, rel=1e-3)
+    described = read(addon)
+    assert total(described.volumes[0][0]) == pytest.approx(8.0, rel=1e-3)
+    (told,) = [text for text in described.warnings if "normals point inwards" in text]
+    assert '"Fog"' in told and "Recalculate Outside" in told
+    # A mirrored object is no such mesh.
+    shown.data.flip_normals()
+    shown.scale.x = -1.0
+    assert not [text for text in read(addon).warnings if "normals" in text]
 
 
 def test_modifiers_shape_the_mesh(addon, scene):
