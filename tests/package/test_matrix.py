@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The matrix of doors and features in whole Blender programs, with the installed extension."""
+"""The matrix of doors and features in a whole Blender program, with the installed extension."""
 
 import shutil
+from pathlib import Path
+
+import pytest
 
 from tests.support.paths import ROOT
-from tests.support.programs import MARKS
+from tests.support.programs import BLENDERS, MARKS
 
 pytestmark = MARKS
 
 
+# The last one named, of Blender 5; the Python module's is 4.5.
+@pytest.mark.parametrize("program", BLENDERS[-1:], indirect=True, ids=lambda path: Path(path).name)
 def test_every_door_opens_for_every_feature(program):
     # What a Blender program sees, which may not see the repository.
     tests = program.folder / "tests"
