@@ -293,7 +293,8 @@ def panorama(stage: Stage) -> None:
 
 
 def inside(stage: Stage) -> None:
-    camera(stage).location = 0.1, -0.4, 0.1
+    """In the first volume, wherever that stands."""
+    camera(stage).location = stage.volumes[0].location + Vector((0.05, -0.25, 0.05))
 
 
 def stereo(stage: Stage) -> None:
