@@ -290,7 +290,7 @@ def prepare_scene(
     phases = [medium.scattered for _, medium in plan.volumes]
     extended_lights = ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None
     cache.keep_groups((1 + (plan.reflects or bool(plan.sky))) * len(plan.groups))
-    context.progress.message("density pyramids")
+    context.progress.message("preparing volumes")
     with report.stage("fields"):
         groups = [
             cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel, context.kernels)

@@ -62,10 +62,9 @@ def _draw_last(context: "bpy.types.Context", layout: "bpy.types.UILayout", last:
     if last.error:
         draw_text(context, layout.box(), last.error, "ERROR")
         return
-    saved = f" ({last.saved:.0f} s saved)" if last.saved >= 1.0 else ""
-    draw_text(context, layout, f"Last render: {last.seconds:.1f} s{saved}", "TIME")
+    draw_text(context, layout, f"Last render: {last.seconds:.1f} s", "TIME")
     if last.expected_error:
-        draw_text(context, layout, f"Expected error {last.expected_error}", "DOT")
+        draw_text(context, layout, f"Expected error: {last.expected_error}", "DOT")
     _, missing = _expected(context)
     for warning in last.warnings:
         if not missing.names(warning):

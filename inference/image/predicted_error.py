@@ -107,7 +107,7 @@ def expected_error(layer: Layer) -> ExpectedError | None:
         return None
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
     ninths = [
-        _Part.of(layer, f"{height or 'middle'} {side}".strip() if height or side else "middle", above, beside)
+        _Part.of(layer, _place(height, side), above, beside)
         for above, height in _thirds(rows, ("upper", "", "lower"))
         for beside, side in _thirds(columns, ("left", "", "right"))
     ]
@@ -121,6 +121,13 @@ def expected_error(layer: Layer) -> ExpectedError | None:
     worst = max(lit, key=lambda part: part.variance * part.pixels / part.light**2)
     at_rim = worst.at_rim > 0.5 * worst.variance
     return ExpectedError(error, low, high, BIAS * error, worst.name + (", at the rim" if at_rim else ""))
+
+
+def _place(height: str, side: str) -> str:
+    """A ninth of the picture in words."""
+    if height and side:
+        return f"{height} {side}"
+    return f"{height or side} part" if height or side else "middle"
 
 
 class _Part(NamedTuple):

@@ -24,12 +24,9 @@ class ExpectedError:
     where: str = ""
 
     def __str__(self) -> str:
-        """For example: 6 % (95 %: 3-11 %), bias within 4 %, largest in the upper left, at the rim."""
-        place = f", largest in the {self.where}" if self.where else ""
-        return (
-            f"{_percent(self.error)} % (95 %: {_percent(self.low)}\u2013{_percent(self.high)} %), "
-            f"bias within {_percent(self.bias)} %{place}"
-        )
+        """For example: 6 % (3-11 %), mostly in the upper left, at the rim."""
+        place = f", mostly in the {self.where}" if self.where else ""
+        return f"{_percent(self.error)} % ({_percent(self.low)}\u2013{_percent(self.high)} %){place}"
 
 
 def _percent(value: float) -> str:

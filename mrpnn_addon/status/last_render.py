@@ -21,7 +21,7 @@ class Finished(Protocol):
 @dataclass
 class LastRender:
     """seconds: of the render. warnings: its warnings. error: why it failed, or "". points: predictions of the network.
-    network_seconds: time they took. saved: seconds that optimizations saved, roughly. expected_error: in words, ""
+    network_seconds: time they took. expected_error: in words, ""
     where it is not known.
     """
 
@@ -30,7 +30,6 @@ class LastRender:
     error: str = ""
     points: int = 0
     network_seconds: float = 0.0
-    saved: float = 0.0
     expected_error: str = ""
 
 
@@ -52,7 +51,6 @@ def remember_finished(finished: Finished) -> None:
             finished.warnings,
             points=report.counts.get("network points", 0),
             network_seconds=report.seconds.get("network", 0.0),
-            saved=sum(report.saved.values()),
             expected_error=str(report.expected_error or ""),
         )
     )
