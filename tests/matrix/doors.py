@@ -19,12 +19,22 @@ from tests.support import blender_scenes
 
 from .covering import Row
 from .features import SIZE, Stage, is_dark
-from .pictures import PARTS, Picture, check_range, check_same, image_pixels, read_picture, render, write_passes
+from .pictures import (
+    PARTS,
+    Picture,
+    check_near,
+    check_range,
+    check_same,
+    image_pixels,
+    read_picture,
+    render,
+    write_passes,
+)
 
 # Pictures of one scene by different doors, relative to the brightest value.
 SAME = 2e-3
-# The viewport's: its camera comes from matrices in single precision, and shadows of lamps are sampled for its part.
-SHOWN = 5e-3
+# The viewport's, whose camera comes from matrices in single precision: an edge of a surface may cross a pixel's middle.
+SHOWN = 3e-3
 # Means of two eyes, which see a scene from 0.4 apart at a distance of 4.5.
 EYES = 0.2
 # Light of the bake along its rays beside the layer's, relative to the mean: of the mean, and of pixels, which see the
@@ -34,7 +44,8 @@ BAKED_MEAN, BAKED = 0.1, 0.2
 CYCLES_SAMPLES, CYCLES_MEAN = 256, 0.02
 # Why Bake Light and Compare with Cycles refuse a scene in which nothing shines; the other doors show it black.
 REFUSAL = "the scene shows no sun and no lamp"
-# What Compare with Cycles says where the program's own Cycles is broken, as Debian's of 5.2 is.
+# Debian's Cycles of 5.2 shows no volumes, and Compare with Cycles says so.
+CYCLES_IS_BROKEN = bool(bpy.app.binary_path) and bpy.app.version >= (5, 0, 0)
 BROKEN_CYCLES = "does not render volumes correctly here"
 
 
@@ -197,7 +208,7 @@ def viewport(shot: Shot) -> None:
         check_range(f"view {number}", picture)
         x0, y0, x1, y1 = (round(share * size) for share, size in zip(part, SIZE * 2))
         expected = shot.picture.layer()[SIZE[1] - y1 : SIZE[1] - y0, x0:x1]
-        check_same(f"view {number}", picture[..., :3], expected, SHOWN)
+        check_near(f"view {number}", picture[..., :3], expected, SHOWN)
 
 
 def view_3d() -> "bpy.types.SpaceView3D":
@@ -317,7 +328,7 @@ def compare(shot: Shot) -> None:
         if refuses(shot, lambda: bpy.ops.mrpnn.compare(**options)):
             return
     except AssertionError as error:
-        if BROKEN_CYCLES in str(error):
+        if CYCLES_IS_BROKEN and BROKEN_CYCLES in str(error):
             return
         raise
     assert list(folder.rglob("*.html"))
@@ -325,6 +336,8 @@ def compare(shot: Shot) -> None:
 
 def check_alpha(shot: Shot) -> None:
     """Alpha is Cycles', in a scene whose surfaces cut out of the volumes what they hide, as in a layer."""
+    if CYCLES_IS_BROKEN:
+        return
     scene, inference = shot.scene, shot.package.inference
     scene.render.use_multiview = scene.render.use_border = False
     description = shot.package.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())

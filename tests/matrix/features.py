@@ -100,7 +100,9 @@ def fluid_domain(stage: Stage) -> None:
     mesh = bpy.data.meshes.new("Source")
     mesh.from_pydata(*box(0.5))
     source = stage.add("Source", mesh)
+    # A viewport would show it inside the smoke.
     source.hide_render = True
+    source.hide_set(True)
     modifier = source.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "FLOW"
     modifier.flow_settings.flow_type, modifier.flow_settings.flow_behavior = "SMOKE", "INFLOW"

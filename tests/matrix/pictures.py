@@ -80,3 +80,13 @@ def check_same(what: str, found: np.ndarray, expected: np.ndarray, within: float
     apart = float(np.abs(found - expected).max() / max(np.abs(expected).max(), 1e-6))
     means = f"means {found.mean():.5g} and {expected.mean():.5g}"
     assert apart <= within, f"{what}: differs by {apart:.3g} of the brightest, more than {within:g} ({means})"
+
+
+def check_near(what: str, found: np.ndarray, expected: np.ndarray, within: float) -> None:
+    """The root mean square difference, relative to the brightest expected value, is at most `within`: a pixel at the
+    edge of a surface may fall to either side.
+    """
+    assert found.shape == expected.shape, f"{what}: {found.shape} instead of {expected.shape}"
+    apart = float(np.sqrt(np.mean((found - expected) ** 2)) / max(np.abs(expected).max(), 1e-6))
+    means = f"means {found.mean():.5g} and {expected.mean():.5g}"
+    assert apart <= within, f"{what}: differs by {apart:.3g} of the brightest, more than {within:g} ({means})"
