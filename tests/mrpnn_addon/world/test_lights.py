@@ -139,7 +139,6 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
     """A panoramic camera sees what the nodes give for the direction of each pixel."""
     world = importlib.import_module("mrpnn.mrpnn_addon.world.lighting")
     environment = importlib.import_module("mrpnn.mrpnn_addon.world.sphere")
-    sockets = importlib.import_module("mrpnn.mrpnn_addon.nodes.sockets")
     tree, node = scene.world.node_tree, background(scene)
     texture = tree.nodes.new("ShaderNodeTexEnvironment")
     texture.image = panorama(64, 32)
@@ -155,10 +154,7 @@ def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_p
         seen = blender_scenes.rendered(scene, tmp_path, transparent=False)[..., :3].mean(axis=(0, 1))
         sphere = environment.Sphere(2)
         sphere.directions = -np.array(camera.matrix_world)[None, :3, 2]
-        found = world._surface(
-            importlib.import_module("mrpnn.mrpnn_addon.nodes.evaluation").NodeEvaluator(sphere),
-            sockets.source_of(tree.get_output_node("CYCLES").inputs["Surface"]),
-        )
+        found = world._radiance(scene.world, tree.get_output_node("CYCLES"), sphere)
         np.testing.assert_allclose(found[0], seen, rtol=0.03)
 
 
