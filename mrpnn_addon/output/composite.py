@@ -51,12 +51,12 @@ class MRPNN_PG_composite(bpy.types.PropertyGroup):
     made_tree: BoolProperty(name="Compositor Made")
 
 
-@utf8_names()
 def composite_state(scene: "bpy.types.Scene") -> MRPNN_PG_composite:
     """`scene.mrpnn_composite`, which the types of bpy do not have."""
     return scene.path_resolve("mrpnn_composite")
 
 
+@utf8_names()
 def composite(scene: "bpy.types.Scene", shadows: bool) -> None:
     """Composite a scene's volumes over its render by Cycles, or repair a composite.
 
