@@ -57,6 +57,7 @@ def test_it_scales_the_passes_that_it_scales_in_cycles(addon, lit, tmp_path):
     assert scaled["MRPNN"]["Uncertainty.X"] == pytest.approx(EXPOSURE, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_render_volumes_the_composite_and_reference_have_it_and_baked_light_has_not(addon, lit, tmp_path):
     reader, layers, baked = addon.mrpnn_addon.scene.reader, [], []
     for exposure in (1.0, EXPOSURE):

@@ -65,6 +65,7 @@ def test_lights_of_every_class(addon, cloud):
         last_picture(addon, replace(description, suns=[light]))
 
 
+@pytest.mark.slow
 def test_lamps_of_every_kind_and_a_world(addon, cloud):
     """As Blender lists the kinds."""
     for kind in bpy.types.Light.bl_rna.properties["type"].enum_items:
