@@ -12,12 +12,12 @@ from collections import Counter
 import pytest
 
 from tests.support.paths import SHARED
-from tests.support.window import SCENE, SUITES, WORK, Window
+from tests.support.window import SCENE, SUITES, Window
 
 # How many tests of each kind this run leaves out.
 LEFT_OUT = pytest.StashKey[dict]()
-# Quick tests that take about as long as a slow one: for the order of files.
-QUICK_PER_SLOW = 20
+# Seconds of a quick test, and of a slow one that does not state them: for the order of files.
+QUICK, SLOW = 0.5, 5.0
 
 # The bpy module may hang for ever at the end of a process in which something still refers to its
 # types, as the traceback of a failed test does: leave without it, once pytest has said everything.
@@ -44,6 +44,7 @@ def pytest_addoption(parser):
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     _mark(items)
+    _leave_to_newest(config, items)
     _longest_first(items)
     # -k and -m choose among them.
     yield
@@ -57,20 +58,39 @@ def _mark(items):
     for item in items:
         if "addon" in item.fixturenames or hasattr(item.module, "bpy"):
             item.add_marker("blender")
-        # One worker runs a whole file, for its fixtures, and all that drives the one screen.
+        # One worker runs a whole file, for its fixtures, and all that drives the one screen of a Blender.
         item.add_marker(pytest.mark.xdist_group(_group(item)))
 
 
+def _leave_to_newest(config, items):
+    """Tests of what our own code does with a window, which versions of Blender do not change, run in the last named."""
+    others = [
+        item
+        for item in items
+        if item.get_closest_marker("newest") and getattr(item, "callspec", None) and _suite(item) not in SUITES[-1:]
+    ]
+    if SUITES and others:
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item not in others]
+
+
+def _suite(item) -> str:
+    return item.callspec.params.get("window", "")
+
+
 def _group(item) -> str:
-    return "windows" if item.get_closest_marker("window") else str(item.path)
+    if item.get_closest_marker("window"):
+        return f"windows {_suite(item)}" if SUITES else "windows"
+    return str(item.path)
 
 
 def _longest_first(items):
     """So that no worker is left alone with a long file at the end. Windows take the longest by far."""
     cost = Counter()
     for item in items:
-        cost[_group(item)] += QUICK_PER_SLOW if item.get_closest_marker("slow") else 1
-    items.sort(key=lambda item: (_group(item) != "windows", -cost[_group(item)], _group(item)))
+        slow = item.get_closest_marker("slow")
+        cost[_group(item)] += slow.kwargs.get("seconds", SLOW) if slow else QUICK
+    items.sort(key=lambda item: (not item.get_closest_marker("window"), -cost[_group(item)], _group(item)))
 
 
 def _leave_out(config, items):
@@ -155,7 +175,7 @@ def window(request, linux_zip):
     shutil.copy(linux_zip, window.work / "window.zip")
     window.start()
     try:
-        window.do(f"WORK = '{WORK}'")
+        window.do(f"WORK = '{window.seen_work}'")
         window.do(
             "bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
             "enable_on_install=True, overwrite=True)"

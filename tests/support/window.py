@@ -3,7 +3,8 @@
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
 Screenshots are left in build/window, the source of those in docs/images. Those Blenders see the folder `work` of
-BLENDER_ROOTS as WORK: the tools' convention, the same on every machine.
+BLENDER_ROOTS as /mnt/work, the tools' convention; each has a folder of its own in it, which its code calls WORK, so that
+both can be driven at the same time.
 """
 
 import os
@@ -25,8 +26,6 @@ NEEDS_WINDOW = [
 ]
 # Seconds within which anything must happen, however busy the machine.
 LONG = 300
-# The code that runs in Blender knows it by the same name.
-WORK = "/mnt/work"
 
 # A small cloud in red light and a black World, and Properties as high as the window.
 SCENE = """
@@ -93,11 +92,16 @@ bpy.data.node_groups.remove(tree)
 
 
 class Window:
-    """A running Blender: `do` runs Python in it and returns what that prints."""
+    """A running Blender: `do` runs Python in it and returns what that prints.
+
+    work: its folder, which it sees as `seen_work`.
+    """
 
     def __init__(self, suite):
         self.suite = suite
-        self.work = Path(os.environ["BLENDER_ROOTS"]) / "work"
+        shared = Path(os.environ["BLENDER_ROOTS"]) / "work"
+        self.run, self.work, self.seen_work = shared / f"run-{suite}", shared / suite, f"/mnt/work/{suite}"
+        self.work.mkdir(parents=True, exist_ok=True)
 
     def _tool(self, tool, *arguments):
         run = subprocess.run(
@@ -136,13 +140,13 @@ class Window:
 
     def _do(self, code):
         """By the files of `gui do`, without its shell, which looks for the answer ten times a second."""
-        run, number = self.work / f"run-{self.suite}", time.time_ns()
-        begun, sent, answer = (run / "ctl" / f"{number}.{ending}" for ending in ("part", "py", "out"))
+        number = time.time_ns()
+        begun, sent, answer = (self.run / "ctl" / f"{number}.{ending}" for ending in ("part", "py", "out"))
         begun.write_text(code + "\n")
         begun.rename(sent)
         start = time.monotonic()
         while not answer.exists():
-            process = Path("/proc", (run / "blender.pid").read_text().strip())
+            process = Path("/proc", (self.run / "blender.pid").read_text().strip())
             assert process.exists(), f"Blender has ended: {self.console[-2000:]}"
             assert time.monotonic() - start < LONG, "Blender does not answer"
             time.sleep(0.01)
@@ -171,8 +175,8 @@ class Window:
 
     def screen(self):
         """The screen as it is, uint8 (H, W, 3). Uncompressed: a PNG of it takes half a second."""
-        self._tool("gui", "shot", self.suite, f"screen-{self.suite}.ppm")
-        with Image.open(self.work / f"screen-{self.suite}.ppm") as picture:
+        self._tool("gui", "shot", self.suite, f"{self.suite}/screen.ppm")
+        with Image.open(self.work / "screen.ppm") as picture:
             return np.array(picture.convert("RGB"))
 
     def box(self, kind):
@@ -192,4 +196,4 @@ class Window:
     @property
     def console(self):
         """Blender's console output so far."""
-        return (self.work / f"run-{self.suite}" / "blender.log").read_text()
+        return (self.run / "blender.log").read_text()

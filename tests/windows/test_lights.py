@@ -3,7 +3,7 @@
 
 import time
 
-from tests.support.window import LONG, NEEDS_WINDOW, THREADS, WORK
+from tests.support.window import LONG, NEEDS_WINDOW, THREADS
 
 pytestmark = NEEDS_WINDOW
 
@@ -65,7 +65,7 @@ def until(window, place, lit):
 
 
 def test_rendered_shading_shows_every_kind_of_light(window):
-    window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
+    window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
     place, before = eval(window.do(DARK)), len(window.console)
     for light in LIGHTS:
         window.do("shine('NONE')")

@@ -189,6 +189,7 @@ mesh.materials.append(material)
 """
 
 
+@pytest.mark.newest
 def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
     """320^3 voxels, in a shape that Blender itself does not draw, since software OpenGL takes seconds for it. Beside
     them a cube of fog whose noise takes seconds to evaluate."""
@@ -355,6 +356,7 @@ def test_a_click_on_the_button_renders_into_the_image(window):
     window.until(f"not {THREADS}")
 
 
+@pytest.mark.newest
 def test_loading_a_file_during_a_render_ends_the_render(window):
     """By the operator and by the render engine; the next render works."""
     load = "bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend'); scene = bpy.context.scene"
@@ -384,6 +386,7 @@ LEFT_BEHIND = (
 )
 
 
+@pytest.mark.newest
 def test_fifty_switches_of_engine_scene_and_file_leave_nothing_behind(window):
     """With the preview running whenever it can."""
     window.do("import threading; bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.window import CLOSE, LONG, NEEDS_WINDOW, THREADS
 
-pytestmark = NEEDS_WINDOW
+pytestmark = [*NEEDS_WINDOW, pytest.mark.newest]
 
 # The ball twice, "Ball" on the left and "Other" on the right in a collection of its own, seen through the camera.
 TWO = """

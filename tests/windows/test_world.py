@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.support.window import LONG, NEEDS_WINDOW, THREADS, WORK
+from tests.support.window import LONG, NEEDS_WINDOW, THREADS
 
 pytestmark = NEEDS_WINDOW
 
@@ -74,7 +74,7 @@ def still(window, name):
     ],
 )
 def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):
-    window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
+    window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
     window.do(SETTINGS + WORLDS[world] + "\n" + VIEWS[view])
     window.do("s.shading.type = 'SOLID'; scene.render.engine = 'MRPNN'")
     time.sleep(1.0)
@@ -90,7 +90,7 @@ def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):
 
 
 def test_a_transparent_film_looks_as_in_cycles(window):
-    window.do(f"bpy.ops.wm.open_mainfile(filepath='{WORK}/window.blend')")
+    window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
     window.do(SETTINGS + WORLDS["colour"] + "\n" + VIEWS["perspective"])
     window.do("s.shading.type = 'RENDERED'")
     time.sleep(2.0)
