@@ -19,7 +19,7 @@ from .plan.plan import distinct_albedos
 from .plan.precision import in_range
 from .scene.description import Medium, Sun, Volume
 from .scene.errors import SceneError
-from .scene.lamps import LAMPS, Lamp
+from .scene.lamps import Lamp
 
 
 def predict_multiple(
@@ -41,7 +41,7 @@ def predict_multiple(
     result = np.zeros((len(positions), 3), np.float32)
     if not len(positions):
         return result
-    if isinstance(light, LAMPS) and model not in LAMP_MODELS:
+    if isinstance(light, Lamp) and model not in LAMP_MODELS:
         raise SceneError(f"{light.name}: the network {model} knows suns alone")
     network = load_network(model)
     volume, medium = in_range(volume, medium)
@@ -54,7 +54,7 @@ def predict_multiple(
             continue
         prepared: PreparedPredictor | PreparedLampPredictor
         if isinstance(light, Sun):
-            albedos = predictor.albedos(medium, sigma_t, members, light.direction)
+            albedos = predictor.albedos(medium, sigma_t, members, light)
             prepared, features_at = _prepare_sun(predictor, grid, medium, sigma_t, light, bounds)
         else:
             placed = place_lamp(light, [grid])
@@ -79,8 +79,8 @@ def _prepare_sun(
     predictor: VolumePredictor, grid: Grid, medium: Medium, sigma_t: float, sun: Sun, bounds: Bounds
 ) -> tuple[PreparedPredictor, FeaturesAt]:
     """What predicts the light of a sun, and the ray features that it needs."""
-    prepared = predictor.prepare(sigma_t, sun.direction, bounds)
-    fluence = predictor.fluence(sigma_t, [sun.direction]) if predictor.network.needs_ray_features else None
+    prepared = predictor.prepare(sigma_t, sun, bounds)
+    fluence = predictor.fluence(sigma_t, [sun]) if predictor.network.needs_ray_features else None
     bound = BoundMedium(grid, medium, sigma_t, grid.sun_depths([sun.direction]))
 
     def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:

@@ -32,7 +32,7 @@ from .network.interfaces import System
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
 from .occluders.seen_surfaces import vantage
-from .plan.lights import Light, without_lamps
+from .plan.lights import without_lamps
 from .plan.plan import Channels, Plan, make_plan
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
@@ -41,7 +41,8 @@ from .runtime.progress import Progress
 from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
-from .scene.description import Medium, Sun, Surface, Volume
+from .scene.description import Medium, Surface, Volume
+from .scene.light import Families, Light
 from .scene.settings import Settings
 from .transport.scattered_emission import ScatteredEmission
 
@@ -121,7 +122,7 @@ def _finished_parts(
     report.count("suns", len(scene.plan.suns))
     report.count("environments", len(scene.plan.environments))
     report.count("lamps", len(scene.plan.lamps))
-    report.count("suns left out", max(sum(isinstance(light, Sun) for light in lights) - len(scene.plan.suns), 0))
+    report.count("suns left out", max(len(Families.of(lights).suns) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
 
@@ -268,9 +269,9 @@ def prepare_scene(
         covering = [surface for surface in surfaces if surface.covers]
         if covering and camera.projection != "equirectangular":
             depth_buffer = DepthBuffer(covering, camera, cancel)
-        if surfaces and grids:
+        if grids:
             corners = np.concatenate([grid.corners() for grid in grids])
-            occluders, lit = find_occluders(surfaces, [sun.direction for sun in plan.suns], corners, cancel)
+            occluders, lit = find_occluders(surfaces, plan.suns, corners, cancel)
             if len(lit) < len(plan.suns) and "needless_suns" in plan.optimizations:
                 plan, occluders = plan.with_suns(lit), select_suns(occluders, lit or [0], corners)
     with report.stage("shadows"), context.progress.stage("shadows"):

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
-from ..plan.lights import Light
 from ..plan.plan import Channels, last_albedo, make_plan
 from ..plan.precision import in_range
 from ..render import load_compiled, prepare_scene
@@ -18,6 +17,7 @@ from ..runtime.report import Report, process_peak_memory
 from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
 from ..scene.description import Medium, Surface, Volume
+from ..scene.light import Light
 from ..scene.settings import Settings
 from .directional_factor import DETAIL_SHARPNESS, BakedView
 from .directions import DirectionFit, make_lobe

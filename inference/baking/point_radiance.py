@@ -42,8 +42,8 @@ class PointRadiance:
         if scene.network is not None and scene.network.needs_ray_features:
             with context.report.stage("fields"), context.progress.stage("transport", len(self.suns)):
                 context.progress.message(f"multiple scattering of {plan.group_name(g)}")
-                directions = [one.sun.direction for one in self.suns]
-                fluence = group.predictor.fluence(self._sigma_t, directions, scene.occluders, context.tasks)
+                joined = [one.sun for one in self.suns]
+                fluence = group.predictor.fluence(self._sigma_t, joined, scene.occluders, context.tasks)
                 of_part = {part: number for number, one in enumerate(self.suns) for part in one.parts}
                 fluence = fluence and fluence.of_parts([of_part[l] for l in range(len(plan.suns))])
         media = scene.media(channels, list(range(len(plan.suns))))
@@ -93,7 +93,7 @@ class PointRadiance:
                 self._medium,
                 self._sigma_t,
                 self.channels.indices,
-                self.suns[l].sun.direction,
+                self.suns[l].sun,
                 self._occluders,
                 self._context.tasks,
                 self._optimizations,
@@ -107,7 +107,7 @@ class PointRadiance:
             context, predictor = self._context, self._predictor
             with context.report.stage("fields"), context.progress.stage("lattices", 1):
                 found = predictor.prepare(
-                    self._sigma_t, self.suns[l].sun.direction, predictor.extent(), self._occluders, context.tasks
+                    self._sigma_t, self.suns[l].sun, predictor.extent(), self._occluders, context.tasks
                 )
             # Lookup lattices of networks without ray features differ from sun to sun.
             if self._march is not None:

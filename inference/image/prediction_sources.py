@@ -76,14 +76,14 @@ def solve_transport(
     if network is None or not network.needs_ray_features or not wanted:
         return None
     joined = scene.plan.predicted_suns(suns)
-    directions = [one.sun.direction for one in joined]
+    joined_suns = [one.sun for one in joined]
     of_part = {part: number for number, one in enumerate(joined) for part in one.parts}
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
         for g, group in scene.predicted(channels):
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
-            with context.progress.stage("transport", len(directions)):
-                fluence = group.predictor.fluence(sigma_t, directions, scene.occluders, context.tasks)
+            with context.progress.stage("transport", len(joined_suns)):
+                fluence = group.predictor.fluence(sigma_t, joined_suns, scene.occluders, context.tasks)
             found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(suns))])
     return found
 
@@ -128,7 +128,7 @@ def prepare_prediction(
                 if not plan.lights_group(sun, g):
                     continue
                 with context.progress.stage("lattices", 1):
-                    prepared = group.predictor.prepare(sigma_t, sun.direction, bounds, scene.occluders, context.tasks)
+                    prepared = group.predictor.prepare(sigma_t, sun, bounds, scene.occluders, context.tasks)
                 context.report.count("cells of lookup fields", prepared.lattice_cells)
                 context.cancel.check()
                 source = of_group(
@@ -138,7 +138,7 @@ def prepare_prediction(
                         medium,
                         sigma_t,
                         indices,
-                        sun.direction,
+                        sun,
                         scene.occluders,
                         context.tasks,
                         plan.optimizations,

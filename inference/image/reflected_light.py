@@ -105,8 +105,7 @@ def surface_light(
         for number, sun in enumerate(scene.plan.suns):
             cancel.check()
             light = _sun_light(sun, seen) * sunlit[:, number]
-            if shading:
-                light *= _sun_visibility(shading, sun.direction, seen, scene.corners, cancel)
+            light *= _sun_visibility(shading, sun, seen, scene.corners, cancel)
             share = _passed_sun(media, number, seen.points, c, inside)
             irradiance[:, c] += light[:, None] * share * sun.irradiance[c]
             power[c] += ball.area[c] * sun.irradiance[c] * sunned[number]
@@ -197,7 +196,7 @@ def _light_within(
                 sigma_t, place = float(group.medium.sigma_t[indices[0]]), (some[:, None], np.array(indices))
                 surface = opened.predictor.surface_irradiance(seen.points[some], seen.normals[some], sigma_t, albedo)
                 for sun in suns:
-                    scattered = surface.scattered(sun.direction, scene.occluders.shadow_map(sun.direction), cancel)
+                    scattered = surface.scattered(sun.direction, scene.occluders.shadow_map(sun), cancel)
                     irradiance[place] += scattered[:, None] * sun.irradiance[indices]
                 if plan.environments:
                     share[place] = surface.share(plan.environments, cancel)[:, None]
@@ -280,7 +279,7 @@ def _sky_visibility(
         cancel.check()
         light = _sun_light(sun, seen) * sun.irradiance.mean()
         whole += light
-        left += light * _sun_visibility(shading, sun.direction, seen, corners, cancel)
+        left += light * _sun_visibility(shading, sun, seen, corners, cancel)
     return left / whole
 
 
@@ -334,12 +333,15 @@ def _shading(surfaces: Sequence[Surface], seen: SeenSurfaces, corners: np.ndarra
 
 def _sun_visibility(
     shading: Sequence[Surface],
-    direction: np.ndarray,
+    sun: Sun,
     seen: SeenSurfaces,
     corners: np.ndarray,
     cancel: CancelToken,
 ) -> np.ndarray:
     """Visibility (P,) of a sun from surfaces; 1 far away from the volumes. Raises Cancelled."""
+    direction, blocking = sun.direction, [*(surface.triangles for surface in shading), sun.screen(corners)]
+    if not any(map(len, blocking)):
+        return np.ones(len(seen.points))
     low, high = corners.min(axis=0), corners.max(axis=0)
     reach = SHADED_REACH * (high - low).max()
     inside = np.all((seen.points > low - reach) & (seen.points < high + reach), axis=1)
@@ -348,7 +350,7 @@ def _sun_visibility(
         points = seen.points[near]
         ends = np.stack([points.min(axis=0), points.max(axis=0)], axis=1)
         box = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1).T
-        shadow_map = ShadowMap(shading, direction, np.concatenate([box, corners]), cancel)
+        shadow_map = ShadowMap(blocking, direction, np.concatenate([box, corners]), cancel)
         cell = 1.0 / np.linalg.norm(shadow_map.linear[0])
         lifted = points + CLEARANCE * cell * seen.normals[near]
         found[near] = shadow_map.visibility((lifted @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))

@@ -3,13 +3,13 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ..occluders.lamp_shadow_map import LampShadowMap
-from ..scene.emitters import Emitter, QuadEmitter
+from ..scene.emitters import Emitter
 from .lamp_in_media import LampInMedia
 
 
@@ -37,7 +37,7 @@ class JoinedLamps:
     @cached_property
     def coarse(self) -> list[Emitter]:
         """As of LampInMedia."""
-        return [_dimmed(emitter, power) for part, power in zip(self.parts, self.powers) for emitter in part.coarse]
+        return [emitter.dimmed(float(power)) for part, power in zip(self.parts, self.powers) for emitter in part.coarse]
 
     @cached_property
     def coarse_shadow_maps(self) -> list[LampShadowMap | None] | None:
@@ -93,10 +93,3 @@ def predicted_lamps(
         lamps[cluster[0]] if len(cluster) == 1 else JoinedLamps([lamps[k] for k in cluster], middle)
         for cluster in clusters
     ]
-
-
-def _dimmed(emitter: Emitter, factor: float) -> Emitter:
-    """An emitter of a lamp of that power."""
-    if isinstance(emitter, QuadEmitter):
-        return replace(emitter, radiance=factor * emitter.radiance)
-    return replace(emitter, share=factor * emitter.share)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..scene.emitters import SphereEmitter
 from ..scene.settings import DETAIL
 from .lamp_in_media import LampInMedia
 from .ray_steps import RayBatch
@@ -27,7 +26,7 @@ def detail_of_rays(lamps: Sequence[LampInMedia], rays: RayBatch, most: int) -> n
         distance = np.linalg.norm(away - nearest[:, None] * rays.directions, axis=1)
         np.maximum(found, (rays.far - rays.near) / np.maximum(CLOSE * distance, CLOSE * lamp.reach + 1e-30), out=found)
         for emitter in lamp.emitters:
-            if isinstance(emitter, SphereEmitter) and emitter.cone is not None:
+            if emitter.cone is not None:
                 first, last = emitter.lit_between(rays.origins, rays.directions)
                 first, last = np.maximum(first, rays.near), np.minimum(last, rays.far)
                 found[(first < last) & ((first > rays.near) | (last < rays.far))] = most

@@ -19,9 +19,8 @@ from ..numerics.small_matmul import inverse
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
-from ..scene.emitters import Emitter, SphereEmitter
+from ..scene.emitters import Emitter
 from ..scene.lamps import Lamp
-from ..scene.mesh_light import MeshLight
 from ..transport.described_lamps import describe_emitter
 
 # Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
@@ -101,7 +100,7 @@ class LampInMedia:
     def smooth(self, media: Sequence[BoundMedium]) -> float:
         """How far apart places on a ray may be, over their distance to the lamp, for its light in between to vary about
         linearly, with the phase function of media; 0 where the edge of a cone may lie between them."""
-        if any(isinstance(emitter, SphereEmitter) and emitter.cone is not None for emitter in self.emitters):
+        if any(emitter.cone is not None for emitter in self.emitters):
             return 0.0
         return min(_smooth(bound.medium) for bound in media)
 
@@ -223,8 +222,7 @@ def _smooth(medium: Medium) -> float:
 
 def _shading(lamp: Lamp, surfaces: Sequence[Surface]) -> list[Surface]:
     """Surfaces that shade volumes from a lamp: not those that are the lamp."""
-    own = lamp.surface if isinstance(lamp, MeshLight) else None
-    return [surface for surface in surfaces if surface.shades and surface is not own]
+    return [surface for surface in surfaces if surface.shades and surface is not lamp.body]
 
 
 def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]]) -> list[str]:

@@ -19,7 +19,7 @@ class Conditions:
     sigma_hat: extinction per unit density times the cube's edge. sun: (3,) unit vector towards it. bounds: lowest and
     highest (3,) of the points to predict at. shadow_map: of the sun, in the cube's frame, or None. triangles: (T, 3, 3)
     of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of those that shadow_map and triangles
-    stand for. lamp: that takes the sun's place, or None.
+    stand for. screen: `Sun.screen_key`. lamp: that takes the sun's place, or None.
     """
 
     sigma_hat: float
@@ -28,6 +28,7 @@ class Conditions:
     shadow_map: ShadowMap | None = None
     triangles: np.ndarray | None = None
     occluders: bytes = b""
+    screen: bytes = b""
     lamp: LampInCube | None = None
 
     @property

@@ -15,7 +15,7 @@ from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
-from ..scene.description import Medium, Volume
+from ..scene.description import Medium, Sun, Volume
 from ..scene.environment import Environment
 from ..scene.optimizations import ALL
 from ..scene.phase_function import henyey_greenstein
@@ -143,22 +143,22 @@ class VolumePredictor:
     def prepare(
         self,
         sigma_t: float,
-        direction: np.ndarray,
+        sun: Sun,
         bounds: Bounds,
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> PreparedPredictor:
         """What predicts for one extinction and sun.
 
-        direction: (3,) in the world. bounds: of the points to predict at, from `bounds`. Raises Cancelled.
+        bounds: of the points to predict at, from `bounds`. Raises Cancelled.
         """
-        key = (sigma_t, *direction, *bounds[0], *bounds[1], occluders.key)
+        key = (sigma_t, *sun.direction, sun.screen_key, *bounds[0], *bounds[1], occluders.key)
         with tasks.cancel.locked(self._lock):
             if self._last is not None and self._last[0] == key:
                 return self._last[1]
             # Released before preparing a new one.
             self._last = None
-            prepared = self._predictor.prepare(self._conditions(sigma_t, direction, bounds, occluders), tasks)
+            prepared = self._predictor.prepare(self._conditions(sigma_t, sun, bounds, occluders), tasks)
             peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
             found = PreparedPredictor(
                 prepared,
@@ -174,18 +174,16 @@ class VolumePredictor:
     def fluence(
         self,
         sigma_t: float,
-        directions: Sequence[np.ndarray],
+        suns: Sequence[Sun],
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence | None:
-        """Scattered light of suns for lookups along camera rays; directions: (3,) each, in the world.
+        """Scattered light of suns for lookups along camera rays.
 
         Only for networks that need ray features. Raises Cancelled.
         """
         anywhere = np.full(3, -0.5), np.full(3, 0.5)
-        return self._predictor.fluence(
-            [self._conditions(sigma_t, direction, anywhere, occluders) for direction in directions], tasks
-        )
+        return self._predictor.fluence([self._conditions(sigma_t, sun, anywhere, occluders) for sun in suns], tasks)
 
     def prepare_environment(
         self,
@@ -212,21 +210,21 @@ class VolumePredictor:
         medium: Medium,
         sigma_t: float,
         indices: Sequence[int],
-        light: np.ndarray | PredictedLamp | Sequence[Environment],
+        light: Sun | PredictedLamp | Sequence[Environment],
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
         optimizations: frozenset[str] = ALL,
     ) -> Albedos:
         """Albedos of some colour channels of the volume's medium, in a light. Raises Cancelled.
 
-        light: the direction (3,) of a sun in the world, a lamp, or environments. optimizations: those in use.
+        light: a sun, a lamp, or environments. optimizations: those in use.
         """
         if self.volume.scattering is None or not self.network.needs_ray_features:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
         anywhere, image = (np.full(3, -0.5), np.full(3, 0.5)), None
         if isinstance(light, PredictedLamp):
             conditions = self._lamp_conditions(sigma_t, light, anywhere, occluders)
-        elif isinstance(light, np.ndarray):
+        elif isinstance(light, Sun):
             conditions = self._conditions(sigma_t, light, anywhere, occluders)
         else:
             conditions = Conditions(sigma_t * self.cube.edge, np.array([0.0, 0.0, 1.0]), anywhere)
@@ -302,18 +300,18 @@ class VolumePredictor:
         away = self.cube.directions(in_cube.centre - self.cube.centre)
         length = np.linalg.norm(away)
         sun = away / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
-        return Conditions(sigma_hat, sun, bounds, None, triangles, occluders.key, in_cube)
+        return Conditions(sigma_hat, sun, bounds, None, triangles, occluders.key, lamp=in_cube)
 
-    def _conditions(self, sigma_t: float, direction: np.ndarray, bounds: Bounds, occluders: Occluders) -> Conditions:
+    def _conditions(self, sigma_t: float, sun: Sun, bounds: Bounds, occluders: Occluders) -> Conditions:
         sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
-        sun = self.cube.directions(direction)
+        direction = self.cube.directions(sun.direction)
         if not occluders:
-            return Conditions(sigma_hat, sun, bounds)
-        shadow_map = occluders.shadow_map(direction)
+            return Conditions(sigma_hat, direction, bounds)
+        shadow_map = occluders.shadow_map(sun)
         if shadow_map is not None:
             shadow_map = shadow_map.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
         triangles = self.cube.positions(occluders.triangles)
-        return Conditions(sigma_hat, sun, bounds, shadow_map, triangles, occluders.key)
+        return Conditions(sigma_hat, direction, bounds, shadow_map, triangles, occluders.key, sun.screen_key)
 
     def _used(self, sigma_t: float) -> float:
         """Ratio of the optical thickness within the network's range to the true one."""

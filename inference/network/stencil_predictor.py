@@ -335,7 +335,7 @@ class RayPredictor(StencilPredictor):
         if image is not None:
             ordinates = ordinate_radiance(image).mean(axis=1)
         lamp_key = conditions.lamp.key if conditions.lamp else b""
-        light_key = (*conditions.sun, lamp_key) if ordinates is None else ordinates.tobytes()
+        light_key = (*conditions.sun, conditions.screen, lamp_key) if ordinates is None else ordinates.tobytes()
         key = conditions.sigma_hat, light_key, conditions.occluders
         with cancel.locked(self._lock):
             if self._albedo is None:
@@ -397,7 +397,7 @@ class RayPredictor(StencilPredictor):
 
     def _solve(self, conditions: Conditions, cancel: CancelToken) -> tuple[np.ndarray, np.ndarray]:
         """`fluence_lattice` and `fluence_and_flux`, solved once per optical thickness, sun and occluders."""
-        key = conditions.sigma_hat, *conditions.sun, conditions.occluders
+        key = conditions.sigma_hat, *conditions.sun, conditions.screen, conditions.occluders
         found = self._fluence.get(key)
         if found is None:
             if len(self._fluence) >= MAX_LATTICES:

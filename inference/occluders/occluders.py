@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.description import Surface
+from ..scene.description import Sun, Surface
 from .shadow_map import ShadowMap
 
 
@@ -17,12 +17,12 @@ from .shadow_map import ShadowMap
 class Occluders:
     """Black surfaces that block the light of suns, or scattered light, in volumes.
 
-    directions: unit vectors (3,) to the suns, in the world. shadow_maps: ShadowMap per sun, or None if no surface
+    suns: whose light they block. shadow_maps: ShadowMap per sun, of surfaces and of its own screen, or None if nothing
     shadows the volumes from any. triangles: float64 (T, 3, 3), in the world, of the surfaces that absorb scattered
     light. shading: triangles (N, 3, 3) of each surface that casts shadows, empty if shadow_maps is None.
     """
 
-    directions: list[np.ndarray]
+    suns: Sequence[Sun]
     shadow_maps: list[ShadowMap] | None
     triangles: np.ndarray
     shading: list[np.ndarray]
@@ -30,10 +30,10 @@ class Occluders:
     def __bool__(self) -> bool:
         return bool(self.shadow_maps) or len(self.triangles) > 0
 
-    def shadow_map(self, direction: np.ndarray) -> ShadowMap | None:
-        """ShadowMap of the sun in a direction, or None."""
-        for known, shadow_map in zip(self.directions, self.shadow_maps or ()):
-            if np.array_equal(known, direction):
+    def shadow_map(self, sun: Sun) -> ShadowMap | None:
+        """ShadowMap of a sun, or None."""
+        for known, shadow_map in zip(self.suns, self.shadow_maps or ()):
+            if np.array_equal(known.direction, sun.direction) and known.screen_key == sun.screen_key:
                 return shadow_map
         return None
 
@@ -43,8 +43,10 @@ class Occluders:
         if not self:
             return b""
         digest = hashlib.blake2b(digest_size=16)
-        for values in (*self.directions, *self.shading, self.triangles):
+        for values in (*(sun.direction for sun in self.suns), *self.shading, self.triangles):
             digest.update(np.ascontiguousarray(values).tobytes())
+        for sun in self.suns:
+            digest.update(sun.screen_key)
         return digest.digest()
 
 
@@ -53,18 +55,22 @@ NO_OCCLUDERS = Occluders([], None, np.zeros((0, 3, 3)), [])
 
 
 def find_occluders(
-    surfaces: Sequence[Surface], directions: Sequence[np.ndarray], corners: np.ndarray, cancel: CancelToken = NEVER
+    surfaces: Sequence[Surface], suns: Sequence[Sun], corners: np.ndarray, cancel: CancelToken = NEVER
 ) -> tuple[Occluders, list[int]]:
     """Occluders of the light in volumes, and the numbers of the suns some of whose light reaches the volumes.
 
-    directions: unit vectors (3,) to the suns. corners: (8 B, 3) of the boxes of B volumes. Raises Cancelled.
+    corners: (8 B, 3) of the boxes of B volumes. Raises Cancelled.
     """
     boxes = corners.reshape(-1, 8, 3)
     shading = [surface for surface in surfaces if surface.shades]
-    maps = [ShadowMap(shading, direction, corners, cancel) for direction in directions if shading]
+    screens = [sun.screen(corners) for sun in suns]
+    maps = []
+    if shading or any(len(screen) for screen in screens):
+        triangles = [surface.triangles for surface in shading]
+        maps = [ShadowMap([*triangles, screen], sun.direction, corners, cancel) for sun, screen in zip(suns, screens)]
     if not any(shadow_map.shades(boxes) for shadow_map in maps):
         maps = []
-    visible = [n for n in range(len(directions)) if not (maps and maps[n].darkens(boxes))]
+    visible = [n for n in range(len(suns)) if not (maps and maps[n].darkens(boxes))]
     # Only surfaces within the bounds of the volumes: light that has left these does not come back.
     low, high = corners.min(axis=0), corners.max(axis=0)
     ends = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)]
@@ -74,7 +80,7 @@ def find_occluders(
         if np.all(triangles.min(axis=(0, 1)) < high) and np.all(triangles.max(axis=(0, 1)) > low)
     ]
     return Occluders(
-        list(directions),
+        suns,
         maps or None,
         np.concatenate(ends) if ends else np.zeros((0, 3, 3)),
         [surface.triangles for surface in shading] if maps else [],
@@ -86,7 +92,7 @@ def select_suns(occluders: Occluders, numbers: Sequence[int], corners: np.ndarra
     maps = [occluders.shadow_maps[n] for n in numbers] if occluders.shadow_maps else []
     shaded = any(shadow_map.shades(corners.reshape(-1, 8, 3)) for shadow_map in maps)
     return Occluders(
-        [occluders.directions[n] for n in numbers],
+        [occluders.suns[n] for n in numbers],
         maps if shaded else None,
         occluders.triangles,
         occluders.shading if shaded else [],

@@ -9,7 +9,6 @@ import numpy as np
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.description import Surface
 from .rasterization import rasterize
 
 # Cells along the longer side of the volumes, as seen from the sun.
@@ -27,11 +26,12 @@ class ShadowMap:
     """
 
     def __init__(
-        self, surfaces: Sequence[Surface], direction: np.ndarray, corners: np.ndarray, cancel: CancelToken = NEVER
+        self, surfaces: Sequence[np.ndarray], direction: np.ndarray, corners: np.ndarray, cancel: CancelToken = NEVER
     ):
         """Raises Cancelled.
 
-        direction: (3,) unit vector to the sun. corners: (N, 3), whose convex hull holds all volumes.
+        surfaces: triangles (T, 3, 3) of each, in the world. direction: (3,) unit vector to the sun. corners: (N, 3),
+        whose convex hull holds all volumes.
         """
         across = np.eye(3)[np.abs(direction).argmin()]
         across = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
@@ -43,8 +43,8 @@ class ShadowMap:
         self.offset = -low / [cell, cell, 1.0] - [0.5, 0.5, 0.0]
         size = np.maximum(np.ceil((high - low)[:2] / cell), 1).astype(int)
         heights = np.full(size[0] * size[1], -np.inf)
-        for surface in surfaces:
-            place = surface.triangles @ self.linear.T + self.offset
+        for triangles in surfaces:
+            place = triangles @ self.linear.T + self.offset
             for flat, height, _ in rasterize(place[..., :2], place[..., 2], size, cancel):
                 np.maximum.at(heights, flat, height)
         self.heights = heights.reshape(size[1], size[0]).astype(np.float32)

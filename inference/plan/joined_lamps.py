@@ -13,7 +13,7 @@ import numpy as np
 from ..scene.description import Sun
 from ..scene.environment import Environment
 from ..scene.lamps import Lamp, distance_from_box
-from .lights import fluence, linking
+from .lights import linking
 
 # Distance from a volume's box over its diagonal from which on lamps are joined.
 DISTANT = 0.25
@@ -34,7 +34,7 @@ def joined_lamps(
     low, high = corners.min(axis=0), corners.max(axis=0)
     fields, light = _fields(lamps, low, high)
     light *= linking(lamps, list(boxes)).any(axis=0)
-    rest = sum(fluence(one) for one, lit in zip(others, linking(others, list(boxes)).any(axis=0)) if lit)
+    rest = sum(one.mean_fluence() for one, lit in zip(others, linking(others, list(boxes)).any(axis=0)) if lit)
     weights = light / max(light.sum() + rest, 1e-300)
     clusters, spent = [[k] for k in range(len(lamps))], 0.0
     joinable = _joinable(lamps, low, high) & (light > 0.0) & (light[:, None] > 0.0)

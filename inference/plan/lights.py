@@ -9,13 +9,13 @@ import numpy as np
 
 from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.emitters import solid_angles
-from ..scene.environment import Environment, pixel_solid_angles
-from ..scene.lamps import LAMPS, Lamp
+from ..scene.environment import Environment
+from ..scene.lamps import Lamp
+from ..scene.light import Families, Light
 from ..scene.mesh_light import MeshLight
 from ..scene.settings import Settings
 from .directional_lights import directional_lights
 
-Light = Sun | Lamp | Environment
 AnyLight = TypeVar("AnyLight", bound=Light)
 
 #: Networks beside which there is one for light from everywhere.
@@ -43,14 +43,8 @@ def split_lights(
     parallel: why environments are computed as suns, "" where they need not be. Adds sentences to `planned` and
     `left_out`.
     """
-    suns = [light for light in lights if isinstance(light, Sun)]
-    bright = []
-    for light in lights:
-        if isinstance(light, Environment):
-            if light.radiance.any():
-                bright.append(light)
-            else:
-                left_out.append(f"{light.name}: it is black")
+    families = Families.of(lights)
+    suns, bright = families.suns, shining(families.environments, left_out)
     if settings.model not in ENVIRONMENT_MODELS:
         parallel = f"the network {settings.model} knows suns alone"
     environments = []
@@ -68,21 +62,21 @@ def split_lights(
     return suns, environments
 
 
-def lights_object(light: Light, name: str) -> bool:
-    """Whether a light lights the volume or surface of a name."""
-    receivers = None if isinstance(light, Environment) else light.receivers
-    return receivers is None or name in receivers
+def shining(lights: Sequence[AnyLight], left_out: list[str]) -> list[AnyLight]:
+    """Lights that give light; adds sentences about the others to `left_out`."""
+    left_out += [f"{light.name}: {light.darkness}" for light in lights if light.darkness]
+    return [light for light in lights if not light.darkness]
 
 
 def linking(lights: Sequence[Light], names: Sequence[str]) -> np.ndarray:
     """Whether lights light objects of some names, 0 or 1: float64 (objects, lights)."""
-    found = [[lights_object(light, name) for light in lights] for name in names]
+    found = [[light.lights(name) for light in lights] for name in names]
     return np.array(found, np.float64).reshape(len(names), len(lights))
 
 
 def linked_lights(lights: Sequence[AnyLight], names: Sequence[str], left_out: list[str]) -> list[AnyLight]:
     """Lights that light any object of some names; adds sentences about the others to `left_out`."""
-    found = [any(lights_object(light, name) for name in names) for light in lights]
+    found = [any(light.lights(name) for name in names) for light in lights]
     left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, found) if not lit]
     return [light for light, lit in zip(lights, found) if lit]
 
@@ -120,13 +114,6 @@ def predicted_suns(suns: Sequence[Sun]) -> list[PredictedSun]:
     return [PredictedSun.joined(whole, parts, suns) for whole, parts in wholes.values()]
 
 
-def needed_lamps(lights: Sequence[Light], left_out: list[str]) -> list[Lamp]:
-    """Lamps that emit light; adds sentences about the others to `left_out`."""
-    lamps = [light for light in lights if isinstance(light, LAMPS)]
-    left_out += [f"{lamp.name}: its power is 0" for lamp in lamps if not lamp.power.any()]
-    return [lamp for lamp in lamps if lamp.power.any()]
-
-
 def without_faint(
     lamps: Sequence[Lamp], others: Sequence[Sun | Environment], boxes: Mapping[str, np.ndarray], left_out: list[str]
 ) -> list[Lamp]:
@@ -138,9 +125,9 @@ def without_faint(
     for v, (name, corners) in enumerate(boxes.items()):
         low, high = corners.min(axis=0), corners.max(axis=0)
         middle = 0.5 * (low + high)[None]
-        total[v] = sum(fluence(light) for light in others if lights_object(light, name))
+        total[v] = sum(light.mean_fluence() for light in others if light.lights(name))
         for k, lamp in enumerate(lamps):
-            if lights_object(lamp, name):
+            if lamp.lights(name):
                 nearest, power = np.clip(lamp.centre, low, high)[None], float(lamp.power.mean())
                 most[v, k] = power * sum(part.brightest(nearest)[0] for part in lamp.emitters(low, high, 1))
                 total[v] += power * sum(part.fluence(middle)[0] for part in lamp.emitters(low, high, 1))
@@ -152,15 +139,6 @@ def without_faint(
     return [lamp for k, lamp in enumerate(lamps) if k not in faint]
 
 
-def fluence(light: Sun | Environment) -> float:
-    """Mean of the channels of a light's fluence, W/m^2."""
-    if isinstance(light, Sun):
-        return float(light.irradiance.mean())
-    rows, columns, _ = light.radiance.shape
-    found = float(columns * light.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
-    return found if light.weight is None else light.weight.mean * found
-
-
 def brightest_light(lights: Sequence[Light], volumes: Sequence[tuple[Volume, Medium]]) -> list[Light]:
     """The light that gives the volumes the most fluence, shadows aside; none if none lights any of them."""
     light_in_volumes = np.zeros(len(lights))
@@ -168,7 +146,7 @@ def brightest_light(lights: Sequence[Light], volumes: Sequence[tuple[Volume, Med
         index = EIGHTHS * volume.density.shape - 0.5
         points = index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
         for number, light in enumerate(lights):
-            if lights_object(light, volume.name):
+            if light.lights(volume.name):
                 light_in_volumes[number] += light.fluence_at(points).mean()
     return [lights[int(light_in_volumes.argmax())]] if light_in_volumes.any() else []
 
@@ -191,18 +169,18 @@ def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLi
 
 def without_lamps(surfaces: Sequence[Surface], lamps: Sequence[Lamp]) -> list[Surface]:
     """Surfaces, those that are lamps without their emission."""
-    shining = [lamp.surface for lamp in lamps if isinstance(lamp, MeshLight)]
     return [
-        replace(surface, emission=0.0) if any(surface is one for one in shining) else surface for surface in surfaces
+        replace(surface, emission=0.0) if any(surface is lamp.body for lamp in lamps) else surface
+        for surface in surfaces
     ]
 
 
 def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: list[str], left_out: list[str]) -> bool:
     """Whether the light that surfaces throw back or emit is rendered; adds sentences to `planned` and `left_out`."""
-    shining = [surface.name for surface in surfaces if surface.shines]
-    if not shining:
+    lit = [surface.name for surface in surfaces if surface.shines]
+    if not lit:
         return False
-    names = shining[0] + (f" and {len(shining) - 1} more" if len(shining) > 1 else "")
+    names = lit[0] + (f" and {len(lit) - 1} more" if len(lit) > 1 else "")
     if settings.model not in ENVIRONMENT_MODELS:
         left_out.append(f"light of {names}: the network {settings.model} knows suns alone")
         return False

@@ -13,20 +13,20 @@ from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.environment import Environment
 from ..scene.errors import SceneError
 from ..scene.lamps import Lamp
+from ..scene.light import Families, Light
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .joined_lamps import joined_lamps
 from .lights import (
     LAMP_MODELS,
     SURFACES_SHADOW,
-    Light,
     PredictedSun,
     linked_lights,
     linking,
     mesh_lights,
-    needed_lamps,
     predicted_suns,
     reflects_light,
+    shining,
     split_lights,
     without_faint,
     without_lamps,
@@ -45,8 +45,6 @@ from .overlap import overlapping
 from .precision import in_range
 from .resolution import BAND
 
-# Suns within this angle of each other, in radians, count as parallel.
-PARALLEL_ANGLE = 1e-6
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
 TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 6
@@ -181,10 +179,7 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
     merged: list[Sun] = []
     for sun in suns:
         for other in merged:
-            parallel = np.linalg.norm(sun.direction - other.direction) < PARALLEL_ANGLE
-            parallel &= sun.receivers == other.receivers
-            whole = not any(one.spread or one.part_of for one in (sun, other))
-            if parallel and whole:
+            if sun.is_parallel_to(other):
                 other.irradiance = other.irradiance + sun.irradiance
                 break
         else:
@@ -261,7 +256,7 @@ def make_plan(
     groups, _ = overlapping(rendered)
     unhidden: list[Environment] = []
     skies: list[OpenSky] = []
-    if surfaces and not parallel and any(isinstance(light, Environment) for light in lights):
+    if surfaces and not parallel and Families.of(lights).environments:
         skies = _sky(rendered, camera, surfaces)
         parallel = "" if skies else SURFACES_SHADOW
     suns, environments = split_lights(lights, settings, parallel, planned, left_out)
@@ -273,9 +268,9 @@ def make_plan(
     # Surfaces shadow each part of a soft sun differently.
     if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
         suns = [replace(sun, part_of=None) for sun in suns]
-    merged, lamps = _needed_suns(suns, settings, left_out), needed_lamps(lights, left_out)
-    shining = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
-    lamps += linked_lights(shining, names, left_out)
+    merged, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(lights).lamps, left_out)
+    glowing = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
+    lamps += linked_lights(glowing, names, left_out)
     if "faint_lamps" in settings.leave_out:
         boxes = {volume.name: _corners(volume) for volume, _ in rendered}
         lamps = without_faint(lamps, [*merged, *environments], boxes, left_out)
@@ -300,7 +295,7 @@ def make_plan(
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
     multiple, scattered_emission = [], []
-    reflects = reflects_light(without_lamps(surfaces, shining), settings, planned, left_out)
+    reflects = reflects_light(without_lamps(surfaces, glowing), settings, planned, left_out)
     from_everywhere = bool(environments) or reflects
     for group in groups:
         members = [rendered[v] for v in group]
@@ -373,8 +368,7 @@ def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -
     """Suns that emit light, parallel ones merged; adds sentences about the others to `left_out`."""
     if "needless_suns" not in settings.leave_out:
         return list(suns)
-    bright = [sun for sun in suns if np.any(sun.irradiance > 0.0)]
-    left_out += [f"{sun.name}: its irradiance is 0" for sun in suns if not np.any(sun.irradiance > 0.0)]
+    bright = shining(suns, left_out)
     merged = merge_parallel(bright)
     if len(merged) < len(bright):
         left_out.append(f"{len(bright) - len(merged)} suns parallel to another: merged")

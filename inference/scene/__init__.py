@@ -7,6 +7,7 @@ from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Sun, Surface, V
 from .environment import Environment
 from .errors import SceneError
 from .lamps import AreaLight, PointLight, SpotLight
+from .light import Light
 from .settings import Settings
 from .soft_sun import soft_sun
 from .sparse_grid import SparseGrid
@@ -18,6 +19,7 @@ __all__ = [
     "Camera",
     "Cancelled",
     "Environment",
+    "Light",
     "Medium",
     "PointLight",
     "SceneError",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .errors import SceneError
+from .light import Families, Light
 from .phase_function import PhaseFunction, henyey_greenstein
 from .sparse_grid import SparseGrid
 from .validation import affine_matrix, rgb_triple
@@ -19,6 +20,8 @@ from .validation import affine_matrix, rgb_triple
 MAX_ANISOTROPY = 0.999
 # Voxels of one quantity.
 Voxels = np.ndarray | SparseGrid
+# Suns within this angle of each other, in radians, count as parallel.
+PARALLEL_ANGLE = 1e-6
 # Brighter light overflows single precision where the phase function peaks.
 MAX_IRRADIANCE = 1e30
 
@@ -196,7 +199,7 @@ def _albedo_grids(albedo: Any) -> tuple[Voxels, ...]:
 
 
 @dataclass
-class Sun:
+class Sun(Light):
     """A directional light.
 
     direction: (3,) world vector towards the sun; normalised here.
@@ -227,9 +230,46 @@ class Sun:
         if np.any(self.irradiance < 0.0) or np.any(self.irradiance > MAX_IRRADIANCE):
             raise SceneError(f"{self.name}: irradiance must not be negative or above {MAX_IRRADIANCE:g}")
 
+    @property
+    def strength(self) -> np.ndarray:
+        """Its irradiance."""
+        return self.irradiance
+
+    @property
+    def darkness(self) -> str:
+        """As of Light."""
+        return "" if np.any(self.irradiance > 0.0) else "its irradiance is 0"
+
+    def add_to(self, families: Families) -> None:
+        """As of Light."""
+        families.suns.append(self)
+
     def fluence_at(self, points: np.ndarray) -> np.ndarray:
-        """Fluence float64 (N, 3), W/m^2, at world points (N, 3), without shadows."""
+        """As of Light."""
         return np.broadcast_to(self.irradiance, (len(points), 3))
+
+    def mean_fluence(self) -> float:
+        """Mean of the channels of its fluence in volumes, W/m^2."""
+        return float(self.irradiance.mean())
+
+    def screen(self, corners: np.ndarray) -> np.ndarray:
+        """Triangles (T, 3, 3), in the world, that shade its own light alone; none.
+
+        corners: (N, 3), of the boxes of the volumes that it lights.
+        """
+        return np.zeros((0, 3, 3))
+
+    @property
+    def screen_key(self) -> bytes:
+        """Digest that is equal for suns with equal screens; empty for those without one."""
+        return b""
+
+    def is_parallel_to(self, other: "Sun") -> bool:
+        """Whether one sun of the irradiance of both is the same light."""
+        parallel = np.linalg.norm(self.direction - other.direction) < PARALLEL_ANGLE
+        whole = not any(one.spread or one.part_of for one in (self, other))
+        linked = self.receivers == other.receivers and self.screen_key == other.screen_key
+        return bool(parallel and whole and linked)
 
 
 @dataclass

@@ -7,7 +7,8 @@ that is the irradiance of a surface that faces it. All emitters are those of pow
 its power.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -73,6 +74,14 @@ class SphereEmitter:
     def extent(self) -> float:
         """Distance below which the inverse square no longer holds."""
         return self.radius
+
+    def dimmed(self, factor: float) -> "SphereEmitter":
+        """The same with a factor of its light."""
+        return replace(self, share=factor * self.share)
+
+    def is_point_within(self, radius: float) -> bool:
+        """Whether its light grows as the inverse square of the distance down to a radius."""
+        return self.radius <= radius
 
     @property
     def power(self) -> float:
@@ -145,6 +154,8 @@ class QuadEmitter:
     normal: np.ndarray
     radiance: float
     spread: float = np.pi
+    #: It shines into no cone.
+    cone: ClassVar[None] = None
 
     @property
     def position(self) -> np.ndarray:
@@ -155,6 +166,19 @@ class QuadEmitter:
     def source(self) -> LampSource:
         """Its centre, in which its light is taken to start."""
         return LampSource(self.position, self.position)
+
+    def dimmed(self, factor: float) -> "QuadEmitter":
+        """As for SphereEmitter."""
+        return replace(self, radiance=factor * self.radiance)
+
+    def is_point_within(self, radius: float) -> bool:
+        """As for SphereEmitter."""
+        return False
+
+    @property
+    def power(self) -> float:
+        """As for SphereEmitter, without a limited spread."""
+        return float(np.pi * self.radiance * self.area)
 
     @property
     def area(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from ..numerics.interpolation import pad_with_zeros, sample_padded
 from .description import MAX_IRRADIANCE, Sun
 from .errors import SceneError
+from .light import Families, Light
 
 #: Largest deviation of a rotation from an orthonormal matrix.
 ORTHONORMAL = 1e-4
@@ -114,7 +115,7 @@ class PlaceLattice:
 
 
 @dataclass
-class Environment:
+class Environment(Light):
     """Light from all directions, infinitely far away.
 
     radiance: float32 (H, 2H, 3), W/(m^2 sr), in [0, 1e30], constant within a pixel. Pixel (r, c) is the radiance that
@@ -160,8 +161,28 @@ class Environment:
         """Fluence float64 (3,), W/m^2: radiance integrated over the sphere."""
         return (self.radiance.astype(np.float64).sum(axis=1) * pixel_solid_angles(len(self.radiance))).sum(axis=0)
 
-    def fluence_at(self, points: np.ndarray) -> np.ndarray:
+    @property
+    def strength(self) -> np.ndarray:
+        """Its radiance."""
+        return self.radiance
+
+    @property
+    def darkness(self) -> str:
+        """As of Light."""
+        return "" if self.radiance.any() else "it is black"
+
+    def add_to(self, families: Families) -> None:
+        """As of Light."""
+        families.environments.append(self)
+
+    def mean_fluence(self) -> float:
         """As of Sun."""
+        rows, columns, _ = self.radiance.shape
+        found = float(columns * self.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
+        return found if self.weight is None else self.weight.mean * found
+
+    def fluence_at(self, points: np.ndarray) -> np.ndarray:
+        """As of Light."""
         weight = np.ones(len(points)) if self.weight is None else self.weight(points)
         return weight[:, None] * self.fluence()
 

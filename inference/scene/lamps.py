@@ -3,14 +3,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .description import MAX_IRRADIANCE
+from .description import MAX_IRRADIANCE, Surface
 from .emitters import Emitter, QuadEmitter, SphereEmitter
 from .errors import SceneError
+from .light import Families, Light
 from .spot_cone import SpotCone
 from .validation import affine_matrix, rgb_triple
 
@@ -30,22 +30,41 @@ TOLD_APART = 0.025
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)]) * np.sqrt(0.75)
 
 
-class Lamp(Protocol):
-    """A light that has a place. name, receivers: as of PointLight. power: float64 (3,), W."""
+class Lamp(Light):
+    """A light that has a place. power: float64 (3,), W."""
 
-    name: str
     power: np.ndarray
-    receivers: frozenset[str] | None
+
+    @property
+    def body(self) -> Surface | None:
+        """The surface that is the lamp, which does not shade it, or None."""
+        return None
 
     @property
     def centre(self) -> np.ndarray:
         """(3,)."""
+        raise NotImplementedError
 
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
         """As of PointLight."""
+        raise NotImplementedError
+
+    @property
+    def strength(self) -> np.ndarray:
+        """Its power."""
+        return self.power
+
+    @property
+    def darkness(self) -> str:
+        """As of Light."""
+        return "" if self.power.any() else "its power is 0"
+
+    def add_to(self, families: Families) -> None:
+        """As of Light."""
+        families.lamps.append(self)
 
     def fluence_at(self, points: np.ndarray) -> np.ndarray:
-        """As of Sun."""
+        """As of Light."""
         parts = self.emitters(points.min(axis=0), points.max(axis=0))
         return np.sum([part.fluence(points) for part in parts], axis=0)[:, None] * self.power
 
@@ -203,9 +222,6 @@ class AreaLight(Lamp):
             radiance = self.area / len(quads) / whole.area / (np.pi * self.area)
             found.append(QuadEmitter(corners, normal, radiance, self.spread))
         return found
-
-
-LAMPS = (PointLight, SpotLight, AreaLight)
 
 
 def _sphere_emitters(whole: SphereEmitter, low: np.ndarray, high: np.ndarray, most: int) -> list[Emitter]:

@@ -49,6 +49,11 @@ class MeshLight(Lamp):
         self.power = np.pi * self.area * self._sides * self.surface.emission
 
     @property
+    def body(self) -> Surface:
+        """As of Lamp."""
+        return self.surface
+
+    @property
     def _sides(self) -> int:
         return 1 if self.closed else 2
 

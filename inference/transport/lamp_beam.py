@@ -13,7 +13,7 @@ from ..grids.working_cube import Cube
 from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.emitters import Emitter, LampSource, SphereEmitter
+from ..scene.emitters import Emitter, LampSource
 from ..scene.spot_cone import SpotCone
 from .discrete_ordinates import DiscreteOrdinates
 from .lamp_cells import LampCells, light_in_cells
@@ -68,10 +68,8 @@ class LampInCube:
     @property
     def cone(self) -> SpotCone | None:
         """In which its light travels, in the cube's frame, or None."""
-        cones = [emitter.cone for emitter in self.emitters if isinstance(emitter, SphereEmitter)]
-        if not cones or cones[0] is None:
-            return None
-        return replace(cones[0], axis=self.cube.directions(cones[0].axis))
+        cone = self.emitters[0].cone
+        return None if cone is None else replace(cone, axis=self.cube.directions(cone.axis))
 
     def __call__(
         self, solver: "DiscreteOrdinates | CubeCells", cancel: CancelToken = NEVER
@@ -175,7 +173,7 @@ class LampInCube:
         # Distances over r, evenly spaced in the angle that r is seen under.
         apart = np.tan((np.arange(64) + 0.5) / 64 * 0.5 * np.pi)
         for emitter in self.emitters:
-            if not isinstance(emitter, SphereEmitter) or emitter.radius > radius:
+            if not emitter.is_point_within(radius):
                 continue
             place = np.floor((self.cube.positions(emitter.position[None])[0] + 0.5) * n).astype(int)
             if ((place < 0) | (place >= n)).any():

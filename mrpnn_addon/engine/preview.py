@@ -10,8 +10,8 @@ import numpy as np
 
 from ... import inference
 from ...inference import RenderCache
-from ...inference.plan.lights import Light, brightest_light
-from ...inference.scene import Camera, Cancelled, SceneError, Settings
+from ...inference.plan.lights import brightest_light
+from ...inference.scene import Camera, Cancelled, Light, SceneError, Settings
 from ..output.layer_frame import rgba
 from ..scene.reader import SceneDescription
 

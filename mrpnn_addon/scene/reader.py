@@ -289,17 +289,10 @@ def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
 
 def _has_light(description: SceneDescription) -> bool:
     return (
-        any(np.any(_power(light)) for light in description.lights)
+        any(np.any(light.strength) for light in description.lights)
         or any(volume.emission is not None for volume, _ in description.volumes)
         or any(mesh.colour.emission.any() for mesh in description.opaque)
     )
-
-
-def _power(light: "Sun | Lamp | Environment") -> np.ndarray:
-    """What a light's strength multiplies."""
-    if isinstance(light, Sun):
-        return light.irradiance
-    return light.radiance if isinstance(light, Environment) else light.power
 
 
 def require_light(description: SceneDescription) -> None:

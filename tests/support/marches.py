@@ -119,7 +119,7 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | N
     if recipe.shadows:
         corners = np.concatenate([medium.grid.corners() for medium in media])
         roof = corners.mean(axis=0) + random.normal(size=(3, 3, 3)) * 0.7
-        shadow_maps = [ShadowMap([Surface(roof)], direction, corners) for direction in directions]
+        shadow_maps = [ShadowMap([roof], direction, corners) for direction in directions]
     fluence = None
     if recipe.features:
         groups = recipe.groups or [[v] for v in range(recipe.volumes)]

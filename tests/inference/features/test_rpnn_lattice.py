@@ -7,6 +7,7 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
+from inference import Sun
 from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
 from inference.features.rpnn_lattice import (
     FINE,
@@ -165,7 +166,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
         predictor = VolumePredictor(network.load_network("rpnn"), volume, 0.857)
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
-        prepared = predictor.prepare(sigma_t, data["sun"][kept[i]].astype(np.float64), predictor.bounds(position))
+        prepared = predictor.prepare(sigma_t, Sun(data["sun"][kept[i]]), predictor.bounds(position))
         np.testing.assert_allclose(prepared.predict(RayPoints(position, omega), [1.0])[0, 0], trained[i], rtol=5e-3)
 
 

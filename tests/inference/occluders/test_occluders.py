@@ -71,7 +71,7 @@ def test_all_light_leaves_through_faces_and_walls():
 def test_the_lit_fraction_of_cells_is_what_a_wall_leaves():
     """Light straight down past a wall at x < 0.1."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    shadow_map = ShadowMap([rectangle(-9, 0.1, -9, 9, 3.0)], np.array([0.0, 0.0, 1.0]), corners)
+    shadow_map = ShadowMap([rectangle(-9, 0.1, -9, 9, 3.0).triangles], np.array([0.0, 0.0, 1.0]), corners)
     share = shadow_map.cell_visibility(8, parts=16)
     expected = np.clip((np.arange(1, 9) / 8 - 0.5 - 0.1) * 8, 0.0, 1.0)
     np.testing.assert_allclose(share, np.broadcast_to(expected[:, None, None], share.shape), atol=0.04)
