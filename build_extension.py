@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build the extension: one zip per platform in build/, built and validated by Blender's own tool.
+"""Build the extension: zips per platform in build/, built and validated by Blender's own tool.
 
     .venv/bin/python build_extension.py [--tag v1.2.3]
 
-Downloads the wheels that blender_manifest.toml names into build/wheels, checks them against requirements-wheels.txt,
-compiles the kernels, builds, validates, and prints what the megabytes of each zip are for. With --tag, refuses to build
-unless the tag is the manifest's version.
+Downloads the wheels of onnxruntime that blender_manifest.toml names into wheels/, checks them against
+requirements-wheels.txt, compiles the wheels of the kernels beside them, builds, validates, and prints what the
+megabytes of each zip are for. For Linux there is a second zip, for a Blender of a distribution with a Python of its
+own: it has no onnxruntime. The bytes of all depend on the sources alone. With --tag, refuses to build unless the tag is
+the manifest's version.
 """
 
 import argparse
@@ -20,11 +22,14 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+from packages.archives import write_zip
+from packages.kernels import MODULE, build_wheel, load_build, wheel_name
+
 ROOT = Path(__file__).resolve().parent
-BUILD = ROOT / "build"
+BUILD, WHEELS = ROOT / "build", ROOT / "wheels"
 LOCK = ROOT / "requirements-wheels.txt"
-# Where the zip has the compiled kernels: beside their sources.
-KERNELS = "inference/kernels"
+# How the second zip of a platform ends, for every Python 3.
+ANY_PYTHON = "any_python"
 
 
 def manifest() -> dict:
@@ -75,35 +80,52 @@ def blender_tool(*arguments) -> None:
 
 
 def build() -> list[Path]:
-    """One validated zip per platform, in the manifest's order of platforms.
+    """The validated zips, in the manifest's order of platforms.
 
     Each appears in build/ once it is whole, so that several processes may build at the same time.
     """
     facts = manifest()
     for name in facts["wheels"]:
-        fetch(ROOT / name, LOCK)
+        if not Path(name).name.startswith(MODULE):
+            fetch(ROOT / name, LOCK)
+    build_kernels(facts["platforms"])
     zips = []
+    BUILD.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(dir=BUILD) as folder:
         blender_tool("build", "--source-dir", ROOT, "--output-dir", folder, "--split-platforms")
         for platform in facts["platforms"]:
             made = Path(folder) / f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}.zip"
-            add_kernels(made, platform)
+            zips.append(made)
+            with zipfile.ZipFile(made) as archive:
+                files = {name: archive.read(name) for name in sorted(archive.namelist())}
+            write_zip(made, files)
+            if platform.startswith("linux"):
+                zips.append(write_zip(made.with_stem(f"{made.stem}-{ANY_PYTHON}"), without_onnxruntime(files)))
+        for number, made in enumerate(zips):
             blender_tool("validate", made)
-            zips.append(BUILD / made.name)
-            os.replace(made, zips[-1])
+            zips[number] = BUILD / made.name
+            os.replace(made, zips[number])
     return zips
 
 
-def add_kernels(path: Path, platform: str) -> None:
-    """Add the compiled kernels of a platform to its zip; raises SystemExit where they cannot be compiled."""
-    from inference.kernels.build import BuildError, build
+def build_kernels(platforms: list[str]) -> None:
+    """Put the wheels of the kernels into wheels/; raises SystemExit where they cannot be compiled."""
+    build = load_build()
+    with tempfile.TemporaryDirectory(dir=WHEELS) as folder:
+        for platform in platforms:
+            try:
+                wheel = build_wheel(platform, Path(folder))
+            except build.BuildError as error:
+                raise SystemExit(f"the kernels for {platform} cannot be compiled: {error}") from error
+            os.replace(wheel, WHEELS / wheel_name(platform))
 
-    try:
-        library = build(platform)
-    except BuildError as error:
-        raise SystemExit(f"the kernels for {platform} cannot be compiled: {error}") from error
-    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
-        archive.write(library, f"{KERNELS}/{library.name}")
+
+def without_onnxruntime(files: dict[str, bytes]) -> dict[str, bytes]:
+    """The files of a zip without the wheels of onnxruntime, which fit one Python each."""
+    files = {name: content for name, content in files.items() if not name.startswith("wheels/onnxruntime")}
+    lines = files["blender_manifest.toml"].decode()
+    lines = re.sub(r'^ *"[^"]*/onnxruntime[^"]*",\n', "", lines, flags=re.MULTILINE)
+    return files | {"blender_manifest.toml": re.sub(r'"[^"]*/onnxruntime[^"]*"(, )?', "", lines).encode()}
 
 
 def contents(path: Path) -> dict[str, int]:
@@ -113,11 +135,9 @@ def contents(path: Path) -> dict[str, int]:
         for item in archive.infolist():
             if item.filename.endswith(".whl"):
                 package, version, python = Path(item.filename).name.split("-")[:3]
-                purpose = f"{package} {version} for {python}"
+                purpose = "kernels" if package == MODULE else f"{package} {version} for {python}"
             elif item.filename.startswith("inference/weights/"):
                 purpose = "networks and stencils"
-            elif item.filename.startswith(f"{KERNELS}/"):
-                purpose = "kernels"
             else:
                 purpose = "code"
             sizes[purpose] = sizes.get(purpose, 0) + item.compress_size
@@ -134,7 +154,7 @@ def check_tag(tag: str) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Build and validate one zip per platform in build/.")
+    parser = argparse.ArgumentParser(description="Build and validate the zips in build/.")
     parser.add_argument("--tag", help="the release's tag, which must be v<version of blender_manifest.toml>")
     options = parser.parse_args()
     if options.tag is not None:

@@ -6,13 +6,15 @@ import bpy
 from ..mrpnn_addon.baking import baked_scene
 from ..mrpnn_addon.engine import engine
 from ..mrpnn_addon.output import composite as composite_scene
+from ..mrpnn_addon.runtime import shutdown
 from ..mrpnn_addon.scene import changes
 from ..mrpnn_addon.settings import properties, view_layer
 from ..mrpnn_addon.status import calibration, file_watch
 from . import bake, check, command, compare, composite, documentation, render
 
-# Registered in this order and removed in the opposite one: settings first, the command line last.
-MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene, baked_scene, calibration)
+# Registered in this order and removed in the opposite one: settings first, the command line last. `shutdown` ends all
+# threads before anything is removed that they might use.
+MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene, baked_scene, calibration, shutdown)
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *bake.classes, *documentation.classes)
 
 

@@ -54,20 +54,26 @@ class BuildError(Exception):
 class Target:
     """A platform that the library is built for.
 
-    triple: of the compiler, with the oldest system that is supported. library: file name.
-    variants: names of the kinds of processors, and what the compiler calls them.
+    triple: of the compiler, with the oldest system that is supported. tag: of that platform in the names of wheels.
+    library: file name. variants: names of the kinds of processors, and what the compiler calls them.
     """
 
     triple: str
+    tag: str
     library: str
     variants: dict[str, str]
 
 
 # By Blender's names of the platforms. Blender 4.2 needs glibc 2.28 and macOS 11.2.
 TARGETS = {
-    "linux-x64": Target("x86_64-linux-gnu.2.28", "mrpnn_kernels.so", X86_VARIANTS),
-    "windows-x64": Target("x86_64-windows-gnu", "mrpnn_kernels.dll", X86_VARIANTS),
-    "macos-arm64": Target("aarch64-macos.11.0", "mrpnn_kernels.dylib", {"baseline": "apple_m1"}),
+    "linux-x64": Target("x86_64-linux-gnu.2.28", "manylinux_2_28_x86_64", "mrpnn_kernels.so", X86_VARIANTS),
+    "linux-arm64": Target(
+        "aarch64-linux-gnu.2.28", "manylinux_2_28_aarch64", "mrpnn_kernels.so", {"baseline": "generic"}
+    ),
+    "windows-x64": Target("x86_64-windows-gnu", "win_amd64", "mrpnn_kernels.dll", X86_VARIANTS),
+    "windows-arm64": Target("aarch64-windows-gnu", "win_arm64", "mrpnn_kernels.dll", {"baseline": "generic"}),
+    "macos-x64": Target("x86_64-macos.11.0", "macosx_11_0_x86_64", "mrpnn_kernels.dylib", X86_VARIANTS),
+    "macos-arm64": Target("aarch64-macos.11.0", "macosx_11_0_arm64", "mrpnn_kernels.dylib", {"baseline": "apple_m1"}),
 }
 
 

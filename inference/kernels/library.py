@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The library of compiled kernels: beside its sources in an installed extension, built on first use in a clone."""
+"""The library of compiled kernels: of the package mrpnn_kernels in an installed extension, built in a clone."""
 
+import _ctypes
 import ctypes
-import functools
+import importlib.metadata
+import importlib.util
 import os
 import threading
 from ctypes import POINTER, c_int64
@@ -17,7 +19,12 @@ SWITCH = "MRPNN_COMPILED"
 #: Kinds of processors, in the order of dispatch.c.
 VARIANTS = ("baseline", "AVX2", "AVX-512")
 
+#: The package that brings the library where there are no sources.
+PACKAGE = "mrpnn_kernels"
+
 _loading = threading.Lock()
+#: What `load_kernels` found: the kernels, or why there are none.
+_kernels: tuple["Kernels | None", str] | None = None
 
 
 class Unavailable(Exception):
@@ -32,62 +39,135 @@ class Kernels:
 
     def __init__(self, path: os.PathLike, variant: int | None = None):
         self.path = Path(path)
-        try:
-            self._library = ctypes.CDLL(os.fspath(path))
-            self._library.mrpnn_interface.restype = c_int64
-            number = self._library.mrpnn_interface()
-        except (OSError, AttributeError) as error:
-            raise Unavailable(f"{os.fspath(path)} cannot be loaded: {error}") from error
-        if number != INTERFACE:
-            raise Unavailable(f"{os.fspath(path)} has interface {number} instead of {INTERFACE}")
-        self._declare("best_variant")
-        self._declare("scratch_bytes", POINTER(structures.Scene), c_int64)
-        self._declare(
-            "march", c_int64, POINTER(structures.Scene), POINTER(structures.Rays), POINTER(structures.Gathered)
-        )
-        for name, data in field_structures.FUNCTIONS.items():
-            self._declare(name, c_int64, POINTER(data))
+        self._library: ctypes.CDLL | None = None
         #: Variants that this processor can run: 0 to the best one.
-        self.best = int(self._library.mrpnn_best_variant())
+        self.best = int(self._loaded().mrpnn_best_variant())
         self.variant = self.best if variant is None else min(variant, self.best)
         self.name = VARIANTS[self.variant]
 
-    def _declare(self, name: str, *arguments: type) -> None:
-        function = getattr(self._library, f"mrpnn_{name}")
-        function.restype, function.argtypes = c_int64, arguments
+    def close(self) -> None:
+        """Give the file back, which Windows keeps from being replaced while it is loaded; a later call loads it again.
+
+        No call may be running.
+        """
+        library, self._library = self._library, None
+        if library is not None:
+            _close(library)
+
+    def _loaded(self) -> ctypes.CDLL:
+        if self._library is None:
+            try:
+                library = ctypes.CDLL(os.fspath(self.path))
+                library.mrpnn_interface.restype = c_int64
+                number = library.mrpnn_interface()
+            except (OSError, AttributeError) as error:
+                raise Unavailable(f"{self.path} cannot be loaded: {error}") from error
+            if number != INTERFACE:
+                _close(library)
+                raise Unavailable(f"{self.path} has interface {number} instead of {INTERFACE}. {_remedy(number)}")
+            march = (POINTER(structures.Scene), POINTER(structures.Rays), POINTER(structures.Gathered))
+            declared: dict[str, tuple] = {
+                "best_variant": (),
+                "scratch_bytes": (POINTER(structures.Scene), c_int64),
+                "march": (c_int64, *march),
+                **{name: (c_int64, POINTER(data)) for name, data in field_structures.FUNCTIONS.items()},
+            }
+            for name, arguments in declared.items():
+                function = getattr(library, f"mrpnn_{name}")
+                function.restype, function.argtypes = c_int64, arguments
+            self._library = library
+        return self._library
 
     def scratch_bytes(self, scene: structures.Scene, max_count: int) -> int:
         """Bytes of scratch memory that rays of at most `max_count` steps take."""
-        return self._library.mrpnn_scratch_bytes(scene, max_count)
+        return self._loaded().mrpnn_scratch_bytes(scene, max_count)
 
     def march(self, scene: structures.Scene, rays: structures.Rays, gathered: structures.Gathered) -> int:
         """March rays without Python's lock; returns how many of them, fewer than asked for if they were to stop."""
-        return self._library.mrpnn_march(self.variant, scene, rays, gathered)
+        return self._loaded().mrpnn_march(self.variant, scene, rays, gathered)
 
     def prepare(self, name: str, data: structures.Shared) -> int:
         """Call one of `field_structures.FUNCTIONS`, without Python's lock; its result."""
-        return getattr(self._library, f"mrpnn_{name}")(self.variant, data)
+        return getattr(self._loaded(), f"mrpnn_{name}")(self.variant, data)
+
+
+def _close(library: ctypes.CDLL) -> None:
+    if os.name == "nt":
+        _ctypes.FreeLibrary(library._handle)  # type: ignore[attr-defined]
+    else:
+        _ctypes.dlclose(library._handle)
 
 
 def load_kernels() -> Kernels:
-    """The kernels of this process. Raises Unavailable, with the same reason every time."""
+    """The kernels of this process. Raises Unavailable, with the same reason until `unload_kernels`."""
+    global _kernels
     with _loading:
-        kernels, reason = _load()
+        if _kernels is None:
+            try:
+                _kernels = Kernels(_find()), ""
+            except (Unavailable, build.BuildError, OSError) as error:
+                _kernels = None, str(error)
+        kernels, reason = _kernels
     if kernels is None:
         raise Unavailable(reason)
     return kernels
 
 
-@functools.cache
-def _load() -> tuple[Kernels | None, str]:
+def unload_kernels() -> None:
+    """Close what `load_kernels` loaded, which looks for the library again when it is called. No call may be running."""
+    global _kernels
+    with _loading:
+        if _kernels is not None and _kernels[0] is not None:
+            _kernels[0].close()
+        _kernels = None
+
+
+def _find() -> Path:
+    """The library for this process: beside this file, of the sources beside it, or of PACKAGE. Raises Unavailable,
+    BuildError and OSError.
+    """
     platform = build.this_platform()
     if platform is None:
-        return None, "there is none for this kind of computer"
-    shipped = build.SOURCES / build.TARGETS[platform].library
+        raise Unavailable("there is none for this kind of computer")
+    beside, packed = build.SOURCES / build.TARGETS[platform].library, packaged_library(platform)
+    if beside.exists():
+        return beside
+    if not build.sources():
+        if packed is None:
+            raise Unavailable(f"the package {PACKAGE}, which MRPNN Volumes brings, is missing. {_REINSTALL}")
+        return packed
     try:
-        return Kernels(shipped if shipped.exists() else build.build(platform)), ""
-    except (Unavailable, build.BuildError, OSError) as error:
-        return None, str(error)
+        return build.build(platform)
+    except build.BuildError:
+        if packed is None:
+            raise
+        return packed
+
+
+def packaged_library(platform: str) -> Path | None:
+    """The library in the installed package PACKAGE; None without one."""
+    spec = importlib.util.find_spec(PACKAGE)
+    if spec is None or not spec.origin:
+        return None
+    path = Path(spec.origin).parent / build.TARGETS[platform].library
+    return path if path.exists() else None
+
+
+_REINSTALL = "Uninstall MRPNN Volumes, restart Blender, and install the zip for your system"
+
+
+def _remedy(number: int) -> str:
+    """What helps against a library of another interface."""
+    if build.sources():
+        return "Run python -m inference.kernels"
+    # All extensions share one folder of packages, where the highest version wins.
+    if number > INTERFACE:
+        version = importlib.metadata.version(PACKAGE)
+        return (
+            f"A newer MRPNN Volumes in another repository brought {PACKAGE} {version}: remove one of the two in "
+            "Preferences > Get Extensions, and restart Blender"
+        )
+    return f"It is of an older MRPNN Volumes: restart Blender. If that does not help: {_REINSTALL}"
 
 
 def wanted(compiled: bool) -> bool:

@@ -4,7 +4,6 @@
 import contextlib
 import importlib
 import re
-import sys
 import threading
 from dataclasses import dataclass
 from types import ModuleType
@@ -85,33 +84,14 @@ def open_session(content: bytes, provider: str) -> OpenedSession:
     return OpenedSession(processor, "CPU", [warning], contextlib.nullcontext())
 
 
-def import_onnxruntime() -> ModuleType:
-    """The module onnxruntime. Raises whatever its import raises; nothing of it is left behind then."""
-    try:
-        return importlib.import_module("onnxruntime")
-    except Exception:
-        # Parts that were imported would be mixed with those of another folder.
-        forget_onnxruntime()
-        raise
-
-
-def forget_onnxruntime() -> None:
-    """Let the next import start from nothing."""
-    for name in [name for name in sys.modules if name.partition(".")[0] == "onnxruntime"]:
-        del sys.modules[name]
-
-
 def load_onnxruntime() -> ModuleType | None:
     """The module onnxruntime; None where it is missing, cannot be loaded or is too old."""
     try:
-        found = import_onnxruntime()
+        found = importlib.import_module("onnxruntime")
     except Exception:  # A package may raise anything.
         return None
     # A folder of that name is a module, too.
-    if hasattr(found, "InferenceSession") and is_recent(getattr(found, "__version__", "0")):
-        return found
-    forget_onnxruntime()
-    return None
+    return found if hasattr(found, "InferenceSession") and is_recent(getattr(found, "__version__", "0")) else None
 
 
 def is_recent(version: str) -> bool:

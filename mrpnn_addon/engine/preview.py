@@ -13,6 +13,7 @@ from ...inference import RenderCache
 from ...inference.plan.lights import brightest_light
 from ...inference.scene import Camera, Cancelled, Light, SceneError, Settings
 from ..output.layer_frame import rgba
+from ..runtime.background import start_thread
 from ..scene.reader import SceneDescription
 
 # Pixels of the pictures before the last, which has the region's resolution.
@@ -76,9 +77,9 @@ class Preview:
         self.picture: np.ndarray | None = None
         self.number, self.message, self.done = 0, "", False
         self._stop = threading.Event()
-        threading.Thread(
-            target=self._run, args=(description, camera, settings, prepared), name="mrpnn preview", daemon=True
-        ).start()
+        start_thread(
+            lambda: self._run(description, camera, settings, prepared), "mrpnn preview", self.stop, awaited=False
+        )
 
     def stop(self) -> None:
         """Ask the thread to stop; no picture follows."""

@@ -1,12 +1,45 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Background threads that Blender's main thread polls; imports no bpy."""
+"""Background threads that Blender's main thread polls; imports no bpy.
+
+All threads of the extension start here, so that `stop_threads` ends them before Blender unloads the extension, loads
+another file or quits.
+"""
 
 import threading
+import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import Any
 
 from ...inference.scene import Cancelled
+
+# What asks each running thread to stop. Only Blender's main thread starts threads here.
+_running: dict[threading.Thread, Callable[[], None]] = {}
+
+
+def start_thread(work: Callable[[], None], name: str, stop: Callable[[], None], awaited: bool) -> threading.Thread:
+    """Run `work()` on a thread; returns it.
+
+    stop: asks the thread to stop. awaited: whether Blender waits for the thread when it quits.
+    """
+    for ended in [thread for thread in list(_running) if not thread.is_alive()]:
+        del _running[ended]
+    thread = threading.Thread(target=work, name=name, daemon=not awaited)
+    thread.start()
+    _running[thread] = stop
+    return thread
+
+
+def stop_threads(seconds: float) -> bool:
+    """Ask all threads to stop and wait for at most so many seconds; returns whether all have ended."""
+    running, end = dict(_running), time.monotonic() + seconds
+    for stop in running.values():
+        stop()
+    for thread in running:
+        thread.join(max(end - time.monotonic(), 0.0))
+        if not thread.is_alive():
+            _running.pop(thread, None)
+    return not _running
 
 
 class Worker:
@@ -23,8 +56,7 @@ class Worker:
     def _start(self, name: str, awaited: bool) -> None:
         """name: of the thread. awaited: whether Blender waits for the thread when it quits."""
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=not awaited)
-        self._thread.start()
+        self._thread = start_thread(self._run, name, self.stop, awaited)
 
     def _work(self) -> None:
         raise NotImplementedError
@@ -57,9 +89,14 @@ class Worker:
 
 
 def in_background(work: Callable[[], Any]) -> Future:
-    """Run `work()` on a thread of its own; returns the future of its result."""
-    pool = ThreadPoolExecutor(1, "mrpnn work")
-    found = pool.submit(work)
-    # The thread ends when its work does.
-    pool.shutdown(wait=False)
-    return found
+    """Run `work()` on a thread of its own, to its end; returns the future of its result."""
+    future: Future = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:  # Whoever asks for the result gets it.
+            future.set_exception(error)
+
+    start_thread(run, "mrpnn work", lambda: None, awaited=True)
+    return future

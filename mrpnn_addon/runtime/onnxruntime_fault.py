@@ -2,12 +2,11 @@
 """Why onnxruntime cannot be imported, by what the system's loader says."""
 
 import ctypes
+import importlib
 import re
 import sys
 import traceback
 from functools import cache
-
-from ...inference.network.provider import forget_onnxruntime, import_onnxruntime
 
 # Parts of the loaders' sentences, in English. On Windows they are in the user's language, see `_windows_error`.
 LOADERS = {
@@ -43,10 +42,7 @@ def import_fault(folder: str, version: str | None) -> tuple[str, str] | None:
     of the onnxruntime that is found; what failed is not tried again while they stay.
     """
     try:
-        if hasattr(import_onnxruntime(), "InferenceSession"):
-            return None
-        forget_onnxruntime()
-        return "damaged", ""
+        return None if hasattr(importlib.import_module("onnxruntime"), "InferenceSession") else ("damaged", "")
     except Exception as error:  # A package may raise anything.
         print(f"onnxruntime {version} in {folder} cannot be imported:", file=sys.stderr)
         traceback.print_exc()

@@ -16,9 +16,8 @@ from ...inference.network.provider import OLDEST, PROVIDERS, is_recent
 from .onnxruntime_fault import import_fault
 
 MANIFEST = Path(__file__).resolve().parents[2] / "blender_manifest.toml"
-# How the names of wheels call `sys.platform`, and how users call the platforms of the zips.
+# How the names of wheels call `sys.platform`.
 SYSTEMS = {"linux": "manylinux", "win32": "win", "darwin": "macosx"}
-ZIPS = {"linux": "Linux (x64)", "win32": "Windows (x64)", "darwin": "macOS (Apple silicon)"}
 # Packages that contain the module onnxruntime, with different providers.
 PACKAGES = ("onnxruntime", "onnxruntime-gpu", "onnxruntime-directml", "onnxruntime-openvino")
 # Extensions have a folder for each repository, with a folder for each extension. Blender installs their packages into
@@ -35,8 +34,12 @@ def shipped_version(
 ) -> str | None:
     """Version of the extension's wheel for a platform and a Python; None where it has none for them."""
     for wheel in tomllib.loads(MANIFEST.read_text())["wheels"]:
-        _, version, tag, _, built_for = Path(wheel).stem.split("-")
-        fits = built_for.startswith(SYSTEMS.get(system, "?")) and built_for.endswith(machine.lower())
+        package, version, tag, _, built_for = Path(wheel).stem.split("-")
+        fits = (
+            package == "onnxruntime"
+            and built_for.startswith(SYSTEMS.get(system, "?"))
+            and built_for.endswith(machine.lower())
+        )
         if fits and tag == "cp{}{}".format(*python):
             return version
     return None
@@ -106,10 +109,7 @@ def _version(packages: tuple[str, ...], folder: str) -> str | None:
 def _missing() -> str:
     if shipped_version() is None:
         python = "{}.{}".format(*sys.version_info[:2])
-        return (
-            f"MRPNN Volumes has no onnxruntime for Python {python} on this system. "
-            f"Use a Blender of blender.org for {', '.join(ZIPS.values())}"
-        )
+        return f"There is no onnxruntime for Python {python} on this system"
     return f"onnxruntime, which MRPNN Volumes brings, is missing. {_reinstall()}"
 
 
@@ -147,7 +147,7 @@ def _newer_system(version: str | None, system: str, replace: str) -> str:
 
 
 def _reinstall() -> str:
-    return f"Uninstall MRPNN Volumes, restart Blender, and install the zip for {ZIPS.get(sys.platform, 'your system')}"
+    return "Uninstall MRPNN Volumes, restart Blender, and install the zip for your system"
 
 
 def _remedy(version: str | None, folder: str, package: str = "onnxruntime") -> str:

@@ -12,6 +12,7 @@ from ...inference.image.layer import Layer
 from ...inference.scene import SceneError
 from ..objects.workload import Workload
 from ..runtime.json_file import write_json
+from ..settings.preferences import EXTENSION
 from ..volumes.bounding_boxes import forget_densities
 from .cost_model import STAGES, Calibration, calibrate
 
@@ -63,9 +64,13 @@ def unregister() -> None:
 
 
 def _path() -> str:
-    """File in Blender's configuration folder; "" without one."""
-    folder = bpy.utils.user_resource("CONFIG")
-    return os.path.join(folder, FILE) if folder and os.path.isdir(folder) else ""
+    """File in the folder that Blender gives the extension for its data."""
+    try:
+        folder = bpy.utils.extension_path_user(EXTENSION, create=True)
+    except ValueError:
+        # A clone is not installed as an extension.
+        folder = bpy.utils.user_resource("EXTENSIONS", path=".user", create=True)
+    return os.path.join(folder, FILE)
 
 
 def _read() -> Calibration:
@@ -82,10 +87,8 @@ def _read() -> Calibration:
 
 
 def _write(known: Calibration) -> None:
-    path = _path()
     try:
-        if path:
-            write_json(path, {"rates": known.rates})
+        write_json(_path(), {"rates": known.rates})
     except SceneError:
         # Calibration is optional: ignore folders that cannot be written to.
         pass

@@ -10,17 +10,22 @@ more than BYTES.
 """
 
 import contextlib
+import importlib
+import importlib.util
 import json
 import os
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
 
 NO_MODULE, NO_MEMORY = 77, 78
+# The module's name, and its name before Blender 4.4.
+MODULE_NAMES = ("openvdb", "pyopenvdb")
 # Types whose values Cycles reads as numbers or as vectors of numbers.
 SCALAR_GRIDS = ("FloatGrid", "DoubleGrid", "HalfGrid", "Int32Grid", "Int64Grid", "BoolGrid")
 VECTOR_GRIDS = ("Vec3SGrid", "Vec3DGrid", "Vec3HGrid", "Vec3IGrid")
@@ -28,6 +33,25 @@ VECTOR_GRIDS = ("Vec3SGrid", "Vec3DGrid", "Vec3HGrid", "Vec3IGrid")
 COMPONENTS = ("[0]", "[1]", "[2]")
 # Voxels per edge of leaves of OpenVDB's trees and of the nodes above them, and the tree depths of their contents.
 LEAF, NODE, NODE_DEPTH, LEAF_DEPTH = 8, 128, 2, 3
+
+
+def load_module(folders: Sequence[str]) -> Any:
+    """OpenVDB's module for Python, from Python's search path or else from folders; raises ImportError without one.
+
+    sys.path stays as it is, and so does sys.modules, into which Python itself enters compiled modules.
+    """
+    for name in MODULE_NAMES:
+        try:
+            return importlib.import_module(name)
+        except ModuleNotFoundError:
+            pass
+    for name in MODULE_NAMES:
+        spec = PathFinder.find_spec(name, folders)
+        if spec is not None and spec.loader is not None:
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+            return module
+    raise ImportError("there is no OpenVDB module for Python")
 
 
 def read_grid(openvdb: Any, path: str, name: str, most_voxels: int, by_leaf: bool) -> tuple[dict, Iterator]:
@@ -220,14 +244,10 @@ def limit(seconds: int, size: int) -> None:
 
 
 def main(path: str, grid_name: str, most_voxels: str, seconds: str, size: str, *folders: str, by_leaf: bool) -> int:
-    sys.path += folders
     try:
         import numpy  # noqa: F401, imported before memory is limited
 
-        try:
-            import openvdb
-        except ImportError:
-            import pyopenvdb as openvdb
+        openvdb = load_module(folders)
     except ImportError:
         return NO_MODULE
     limit(int(seconds), int(size))

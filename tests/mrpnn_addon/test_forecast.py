@@ -16,7 +16,7 @@ from tests.support import blender_scenes
 @pytest.fixture
 def cloud(addon, scene, tmp_path, monkeypatch):
     """A cloud of 64^3 voxels, before anything is known of it or of the machine's speed."""
-    monkeypatch.setenv("BLENDER_USER_CONFIG", str(tmp_path))
+    monkeypatch.setenv("BLENDER_USER_EXTENSIONS", str(tmp_path))
     monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
     addon.mrpnn_addon.status.calibration.forget()
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
@@ -198,7 +198,7 @@ def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, sa
     assert calibration.calibration().rates.keys() == rates.keys() and not calibration.calibration().shares
     # A damaged file counts as none.
     for text in ("{", "[]", '{"rates": {"march": -1}}'):
-        (tmp_path / calibration.FILE).write_text(text)
+        (tmp_path / ".user" / calibration.FILE).write_text(text)
         calibration.forget()
         assert calibration.calibration().rates == {}
     assert said().seconds > 0.0
@@ -217,7 +217,7 @@ def test_another_file_is_another_scene(addon, scene, cloud, said):
 def test_a_read_only_folder_does_not_prevent_rendering(addon, scene, cloud, monkeypatch, tmp_path):
     folder = tmp_path / "file"
     folder.write_text("no folder")
-    monkeypatch.setenv("BLENDER_USER_CONFIG", str(folder))
+    monkeypatch.setenv("BLENDER_USER_EXTENSIONS", str(folder))
     scene.render.resolution_percentage = 400
     assert bpy.ops.mrpnn.render() == {"FINISHED"}
     assert addon.mrpnn_addon.status.last_render.last_render().seconds > 0.0

@@ -54,13 +54,13 @@ SCENE = """
 
 
 @pytest.fixture(scope="module", params=BLENDERS, ids=lambda path: Path(path).name)
-def program(request, linux_zip, tmp_path_factory):
+def program(request, zip_of, tmp_path_factory):
     """blender(*arguments) -> CompletedProcess, the extension installed; blender.folder holds the scenes.
 
     blender.start(*arguments) gives the running process instead; blender.path and blender.environment are what it runs.
     """
     folder = tmp_path_factory.mktemp("program")
-    shutil.copy(linux_zip, folder / "mrpnn.zip")
+    shutil.copy(zip_of(request.param), folder / "mrpnn.zip")
     shutil.copy(ROOT / "docs" / "farm" / "mrpnn_script.py", folder)
     # A matrix library's threads that wait for each other take long on a busy machine.
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "resources"), "OPENBLAS_NUM_THREADS": "1"}

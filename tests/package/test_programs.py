@@ -28,6 +28,25 @@ def test_an_animation_from_the_command_line(program):
     assert run.stdout.count("Saved") == 2
 
 
+WORKING = """
+import bpy, sys, time
+name, = [name for name in sys.modules if name.endswith(".mrpnn.mrpnn_addon.runtime.background")]
+class Endless(sys.modules[name].Worker):
+    def _work(self):
+        while not self.stopped:
+            time.sleep(0.01)
+        print("ended", flush=True)
+worker = Endless()
+worker._start("mrpnn test", awaited=AWAITED)
+"""
+
+
+@pytest.mark.parametrize("awaited", [True, False])
+def test_quitting_ends_all_threads(program, awaited):
+    run = program("-b", "--python-expr", WORKING.replace("AWAITED", str(awaited)))
+    assert run.returncode == 0 and "ended" in run.stdout.splitlines(), run.stdout + run.stderr
+
+
 @pytest.mark.parametrize("frames", [("-a",), ("-f", "1..2")])
 def test_an_animation_without_its_volume_goes_on_and_says_so(program, frames):
     folder = program.folder
@@ -194,12 +213,12 @@ FLUID = """
 
 
 @pytest.fixture(scope="module")
-def smoke(linux_zip, tmp_path_factory):
+def smoke(zip_of, tmp_path_factory):
     """Folder with a fluid simulation baked by the first Blender that can; some builds crash."""
     folder, said = tmp_path_factory.mktemp("smoke"), []
     (folder / "smoke.py").write_text(textwrap.dedent(FLUID))
-    shutil.copy(linux_zip, folder / "mrpnn.zip")
     for path in BLENDERS:
+        shutil.copy(zip_of(path), folder / "mrpnn.zip")
         environment = {
             **os.environ,
             "BLENDER_USER_RESOURCES": str(folder / Path(path).name),

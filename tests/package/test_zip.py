@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The zip that users install: its contents, and that the installed extension renders by itself."""
 
+import hashlib
 import shutil
 import subprocess
 import sys
 import sysconfig
 import textwrap
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 
 import build_extension
+from packages.kernels import MODULE, wheel_name
 from tests.support.paths import ROOT
 
 # What the bpy module itself imports; everything else of this environment stays out of sight.
@@ -30,12 +33,15 @@ BLENDER_NEEDS = (
 
 
 def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
-    tags = {"linux_x64": "manylinux", "windows_x64": "win_amd64", "macos_arm64": "macosx"}
-    assert len(zips) == len(tags)
+    facts = build_extension.manifest()
+    names = {f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}" for platform in facts["platforms"]}
+    names |= {f"{name}-any_python" for name in names if "linux" in name}
+    assert {path.stem for path in zips} == names and len(names) == 8
     for path in zips:
-        (tag,) = [tag for platform, tag in tags.items() if platform in path.name]
-        names = zipfile.ZipFile(path).namelist()
-        assert {Path(name).parts[0] for name in names} <= {
+        assert path.stat().st_size <= 40e6
+        archive = zipfile.ZipFile(path)
+        names = archive.namelist()
+        assert {Path(name).parts[0] for name in names} == {
             "blender_manifest.toml",
             "__init__.py",
             "LICENSE",
@@ -44,24 +50,44 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
             "panels",
             "inference",
             "docs",
-            "build",
+            "wheels",
         }
-        wheels = [Path(name).name for name in names if name.startswith("build/")]
-        # For Python 3.11, 3.13 and 3.14.
-        assert len(wheels) == 3 and all(tag in wheel for wheel in wheels)
-        assert {wheel.split("-")[0] for wheel in wheels} == {"onnxruntime"}
-        assert not [name for name in names if name.endswith((".pyc", ".pt"))]
-        (library,) = [name for name in names if name.endswith((".so", ".dll", ".dylib"))]
-        assert library.startswith("inference/kernels/mrpnn_kernels.") and "inference/kernels/march.c" in names
-        kernels = [item for item in zipfile.ZipFile(path).infolist() if item.filename.startswith("inference/kernels/")]
-        assert sum(item.compress_size for item in kernels) < 1e6
-        assert [name for name in names if name.startswith("inference/weights/") and name.endswith(".onnx")]
+        (platform,) = [name for name in facts["platforms"] if name.replace("-", "_") in path.name]
+        wheels = sorted(name for name in names if name.startswith("wheels/"))
+        kernels, *runtimes = wheels
+        assert kernels == f"wheels/{wheel_name(platform)}"
+        if "any_python" in path.name or platform == "macos-x64":
+            assert not runtimes
+        else:
+            assert [Path(name).name.split("-")[::2][:2] for name in runtimes] == [
+                ["onnxruntime", "cp311"],
+                ["onnxruntime", "cp313"],
+            ]
+        # Blender reads the wheels and the Pythons that fit from what the manifest says.
+        said = tomllib.loads(archive.read("blender_manifest.toml").decode())["build"]["generated"]
+        assert sorted(name.removeprefix("./") for name in said["wheels"]) == wheels
+        assert said["platforms"] == [platform]
+        # Libraries come in wheels alone.
+        assert not [name for name in names if name.endswith((".pyc", ".pt", ".so", ".dll", ".dylib", ".c"))]
+        assert "inference/weights/mrpnn.onnx" in names and "inference/weights/rpnn.onnx" not in names
         assert {"inference/weights/uncertainty/mrpnn.onnx", "inference/weights/uncertainty/mrpnn.sha256"} <= set(names)
+
+
+def test_the_zips_and_wheels_are_the_same_to_the_byte_when_built_again(zips):
+    def digests():
+        return [hashlib.sha256(path.read_bytes()).hexdigest() for path in [*zips, *kernels]]
+
+    kernels = sorted(build_extension.WHEELS.glob(f"{MODULE}-*.whl"))
+    assert len(kernels) == 6
+    before = digests()
+    (ROOT / "blender_manifest.toml").touch()
+    assert build_extension.build() == zips and digests() == before
 
 
 def test_a_wheel_with_another_checksum_is_refused(tmp_path):
     for name in ("build_extension.py", "blender_manifest.toml", "requirements-wheels.txt"):
         shutil.copy(ROOT / name, tmp_path)
+    shutil.copytree(ROOT / "packages", tmp_path / "packages")
     for name in build_extension.manifest()["wheels"]:
         wheel = tmp_path / name
         wheel.parent.mkdir(parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from inference.kernels import field_structures, structures
 from inference.kernels.build import SOURCES, TARGETS, BuildError, Target, build, library_path, this_platform
 from inference.kernels.library import Kernels, Unavailable, load_kernels
 from tests.support.paths import ROOT
+from tests.support.windows_dlls import imports
 
 KERNELS = load_kernels()
 HEADERS = {structures: SOURCES / "kernels.h", field_structures: SOURCES / "fields.h"}
@@ -29,6 +31,9 @@ FUZZ_SECONDS = 60
 CHECKED = [
     "-std=c99", "-O1", "-g", "-ffp-contract=off", "-fno-strict-aliasing", "-fPIC", "-shared", "-DVARIANT=baseline",
     "-DMRPNN_ONE_VARIANT", *SOURCE_FILES, "-lm"]  # fmt: skip
+# Debian's libraries for arm64, and what runs libraries of other platforms.
+ARM64 = "/usr/aarch64-linux-gnu"
+RUNNERS = {"linux-x64": [], "linux-arm64": ["qemu-aarch64", "-L", ARM64], "windows-x64": ["wine"]}
 # What a compiler adds to check what the code does; both end the process at a first fault.
 CHECKS = {
     "gcc": ["gcc", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"],
@@ -77,11 +82,35 @@ def test_every_platforms_library_is_built_by_one_command(platform):
         pytest.skip("ziglang is not installed")
     library = build(platform).read_bytes()
     assert len(library) < 1e6
-    magic = {"linux-x64": b"\x7fELF", "windows-x64": b"MZ", "macos-arm64": b"\xcf\xfa\xed\xfe"}[platform]
+    system = platform.partition("-")[0]
+    magic = {"linux": b"\x7fELF", "windows": b"MZ", "macos": b"\xcf\xfa\xed\xfe"}[system]
     assert library.startswith(magic)
-    if platform == "linux-x64":
+    if system == "linux":
         needed = [tuple(map(int, found.split(b"."))) for found in re.findall(rb"GLIBC_([\d.]+)", library)]
         assert max(needed) <= (2, 28)
+    if system == "windows":
+        # Whatever else it imports, every Windows has.
+        assert set(imports(build(platform))) <= {"KERNEL32.dll", "ntdll.dll"} | {
+            name for name in imports(build(platform)) if name.startswith("api-ms-win-crt-")
+        }
+    if system == "macos":
+        assert oldest_macos(library) == (11, 0)
+    # Each function that Python declares.
+    names = ["interface", "best_variant", "scratch_bytes", "march", *field_structures.FUNCTIONS]
+    assert not [name for name in names if b"mrpnn_" + name.encode() not in library]
+
+
+def oldest_macos(library: bytes) -> tuple[int, int]:
+    """The least macOS that loads a library: LC_BUILD_VERSION, see Apple's mach-o/loader.h."""
+    (commands,), at = struct.unpack_from("<I", library, 16), 32
+    for _ in range(commands):
+        kind, size = struct.unpack_from("<2I", library, at)
+        if kind == 0x32:
+            system, least = struct.unpack_from("<2I", library, at + 8)
+            assert system == 1
+            return least >> 16, least >> 8 & 0xFF
+        at += size
+    raise AssertionError("no version")
 
 
 @pytest.mark.slow
@@ -119,13 +148,14 @@ def known_cases(target: Target, folder: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("platform, loader", [("linux-x64", []), ("windows-x64", ["wine"])])
-def test_every_variant_finds_known_results(platform, loader, tmp_path):
-    """Of the library for Windows, under Wine; it comes without Python."""
+@pytest.mark.parametrize("platform", RUNNERS)
+def test_every_variant_finds_known_results(platform, tmp_path):
+    """Under Wine for Windows and under qemu for another processor; it comes without Python."""
+    loader = RUNNERS[platform]
     if this_platform() != "linux-x64" or importlib.util.find_spec("ziglang") is None:
         pytest.skip("needs ziglang on Linux")
-    if loader and shutil.which(loader[0]) is None:
-        pytest.skip("Wine is not installed; .ci/run installs it")
+    if loader and (shutil.which(loader[0]) is None or (platform == "linux-arm64" and not Path(ARM64).is_dir())):
+        pytest.skip(f"{loader[0]} is not installed; .ci/run installs it")
     program, library = known_cases(TARGETS[platform], tmp_path), build(platform)
     run = subprocess.run(
         [*loader, program, library],
@@ -135,7 +165,8 @@ def test_every_variant_finds_known_results(platform, loader, tmp_path):
         env={**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"},
     )
     assert run.returncode == 0, run.stdout + run.stderr[-2000:]
-    assert run.stdout.split() == [str(KERNELS.best + 1), "variants,", "0", "faults"]
+    variants = KERNELS.best + 1 if platform.endswith("x64") else 1
+    assert run.stdout.split() == [str(variants), "variants,", "0", "faults"]
 
 
 def test_pointers_of_structures_are_as_wide_as_the_headers():
