@@ -16,10 +16,10 @@ LAYER, COMPOSITE, BAKED_LIGHT = "layer", "composite", "baked light"
 _CLEAR = {
     "ShaderNodeBsdfGlass": "glass",
     "ShaderNodeBsdfRefraction": "glass",
-    "ShaderNodeBsdfTransparent": "a transparent surface",
-    "ShaderNodeBsdfGlossy": "a mirror",
-    "ShaderNodeBsdfAnisotropic": "a mirror",
-    "ShaderNodeBsdfMetallic": "a mirror",
+    "ShaderNodeBsdfTransparent": "transparent surfaces",
+    "ShaderNodeBsdfGlossy": "mirrors",
+    "ShaderNodeBsdfAnisotropic": "mirrors",
+    "ShaderNodeBsdfMetallic": "mirrors",
 }
 _ROUGH = 0.5
 
@@ -43,19 +43,28 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
         needs.append("motion blur")
     for shown in visible_objects(depsgraph):
         kind = shown.object.type
-        if kind == "LIGHT" and shown.data.type != "SUN":
-            needs.append("a lamp")
-        elif kind in SURFACES and not shows_volume(shown.object):
+        if kind in SURFACES and not shows_volume(shown.object):
             surfaces = True
             for material in materials(shown.object):
                 needs += _shows_surroundings(material)
     if needs:
         found = list(dict.fromkeys(needs))
         listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"
-        return Recommendation(BAKED_LIGHT, f"Baked light suits this scene: it has {listed}, which Cycles renders")
+        return Recommendation(
+            BAKED_LIGHT,
+            f"This scene has {listed}, which MRPNN Volumes does not render. Bake the light to render all of it with "
+            "Cycles",
+        )
     if surfaces:
-        return Recommendation(COMPOSITE, "A composite suits this scene: it has surfaces, which Cycles renders")
-    return Recommendation(LAYER, "The layer suits this scene: it has volumes only")
+        return Recommendation(
+            COMPOSITE,
+            "This scene has surfaces, which MRPNN Volumes does not render. Composite over Cycles adds them. Bake the "
+            "light only where Cycles or EEVEE has to render the volumes",
+        )
+    return Recommendation(
+        LAYER,
+        "MRPNN Volumes renders all of this scene. Bake the light only where Cycles or EEVEE has to render the volumes",
+    )
 
 
 def _shows_surroundings(material: "bpy.types.Material") -> list[str]:
@@ -74,7 +83,7 @@ def _shows_surroundings(material: "bpy.types.Material") -> list[str]:
                 found.append(_CLEAR[node.bl_idname])
             elif node.bl_idname == "ShaderNodeBsdfPrincipled" and _value(node, "Roughness") < _ROUGH:
                 found += ["glass"] if _value(node, "Transmission Weight") > 0.0 else []
-                found += ["a mirror"] if _value(node, "Metallic") > _ROUGH else []
+                found += ["mirrors"] if _value(node, "Metallic") > _ROUGH else []
     return found
 
 

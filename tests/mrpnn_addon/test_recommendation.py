@@ -46,18 +46,23 @@ def test_surfaces_need_a_composite(way, scene):
     "shader, values, reason",
     [
         ("ShaderNodeBsdfGlass", {"Roughness": 0.0}, "glass"),
-        ("ShaderNodeBsdfGlossy", {"Roughness": 0.1}, "a mirror"),
-        ("ShaderNodeBsdfPrincipled", {"Metallic": 1.0, "Roughness": 0.0}, "a mirror"),
+        ("ShaderNodeBsdfGlossy", {"Roughness": 0.1}, "mirrors"),
+        ("ShaderNodeBsdfPrincipled", {"Metallic": 1.0, "Roughness": 0.0}, "mirrors"),
         ("ShaderNodeBsdfPrincipled", {"Transmission_Weight": 1.0, "Roughness": 0.0}, "glass"),
     ],
 )
 def test_mirrors_and_glass_need_baked_light(way, scene, shader, values, reason):
     plane(scene, shader, **values)
-    assert way().way == "baked light" and f"it has {reason}," in way().reason
+    assert way().way == "baked light" and f"has {reason}, which" in way().reason
 
 
-def test_lens_and_lamps_need_baked_light(way, scene):
+def test_a_lens_and_its_shutter_need_baked_light(way, scene):
     scene.camera.data.dof.use_dof = True
     scene.render.use_motion_blur = True
-    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT"))
-    assert "depth of field, motion blur and a lamp" in way().reason
+    assert way().way == "baked light" and "depth of field and motion blur, which" in way().reason
+
+
+@pytest.mark.parametrize("kind", ["SUN", "POINT", "SPOT", "AREA"])
+def test_no_light_needs_more_than_the_layer(way, scene, kind):
+    blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", kind))
+    assert way().way == "layer"
