@@ -96,14 +96,15 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
             else:
                 about = "Roughly" if expected.rough else "About"
                 draw_text(context, layout, f"{about} {_duration(expected.seconds)}", "TIME")
-        for line in [] if composited(scene) else missing.lines:
-            draw_text(context, layout, line, "INFO")
+        check = last_check()
         if missing.surfaces and not composited(scene):
+            # Check Scene tells more about them.
+            if check is None or check.outdated(scene) or not any(map(missing.names, check.warnings)):
+                draw_text(context, layout, missing.sentence, "INFO")
             layout.operator(MRPNN_OT_composite.bl_idname)
         row = layout.row(align=True)
         row.operator(MRPNN_OT_check.bl_idname, icon="VIEWZOOM")
         row.operator(MRPNN_OT_documentation.bl_idname, icon="HELP", text="")
-        check = last_check()
         if check is None:
             for warning in expected.warnings:
                 draw_text(context, layout, warning, "INFO")

@@ -167,9 +167,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             for result in results.values():
                 result.end()
             raise
-        # Blender's window shows the last report only.
-        missing = "" if composited(depsgraph.scene) else unrendered(depsgraph).message
-        for warning in [*finished.warnings, missing] if missing else finished.warnings:
+        told = finished.warnings if composited(depsgraph.scene) else unrendered(depsgraph).told_last(finished.warnings)
+        for warning in told:
             report(self, "WARNING", warning)
         for view, layer in finished.layers:
             results[view.name].finish(layer, stamp(settings, layer.report, time.perf_counter() - started))

@@ -12,7 +12,7 @@ from ...inference.scene import Camera, SceneError, Settings
 from ..objects.visibility import visibility_state
 from ..runtime.background import Worker
 from ..scene.reader import SceneDescription, read_view
-from ..scene.unrendered import unrendered
+from ..scene.unrendered import composited, unrendered
 from ..volumes.loading import VolumeLoading
 from ..volumes.reader import VolumeReader
 from ..world import picture as world_picture
@@ -126,7 +126,7 @@ class Viewport:
     def _describe(self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> None:
         failure = self._loading and self._loading.error
         self._stop_loading()
-        self._unrendered = unrendered(depsgraph).summary
+        self._unrendered = "" if composited(depsgraph.scene) else unrendered(depsgraph).summary
         try:
             if failure is not None:
                 return self.describe(None, str(failure))

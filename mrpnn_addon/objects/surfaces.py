@@ -112,23 +112,24 @@ def _mean_colour(slots: "bpy.types.bpy_prop_collection", mesh: Mesh) -> SurfaceC
     return found
 
 
-def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool) -> list[str]:
-    """Warnings of what surfaces do and do not do."""
+def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool, composited: bool) -> list[str]:
+    """Warnings of what surfaces do and do not do.
+
+    composited: whether Cycles renders them, and the compositor lets them cover volumes in panoramas.
+    """
     found, covering = [], [surface for surface in surfaces if surface.covers]
-    if covering and panorama:
+    if covering and panorama and not composited:
         found.append(f"{_names(covering)}: surfaces do not cover volumes in panoramas")
     notes = sorted(set().union(*(surface.colour.notes for surface in surfaces)))
     without = f", without {_and(notes)}" if notes else ""
-    if len(surfaces) == 1:
-        found.append(
-            f"{_names(surfaces)} only hides, shades and lights volumes, as a matt surface of its mean colour"
-            f"{without}; Composite over Cycles renders it, too"
-        )
-    elif surfaces:
-        found.append(
-            f"{_names(surfaces)} only hide, shade and light volumes, as matt surfaces of their mean colours"
-            f"{without}; Composite over Cycles renders them, too"
-        )
+    if surfaces:
+        does, ends = ("hides, shades and lights", "as a matt surface of its mean colour"), "renders it, too"
+        if len(surfaces) > 1:
+            does, ends = ("hide, shade and light", "as matt surfaces of their mean colours"), "renders them, too"
+        if not composited:
+            found.append(f"{_names(surfaces)} only {does[0]} volumes, {does[1]}{without}; Composite over Cycles {ends}")
+        elif notes:
+            found.append(f"{_names(surfaces)} {does[0]} volumes {does[1]}{without}")
     return found
 
 

@@ -44,6 +44,7 @@ from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
 from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
+from .unrendered import composited
 
 NO_VOLUME = (
     "the scene shows no Volume object; add one (Add > Volume > Import OpenVDB), or give a closed mesh a material with "
@@ -158,7 +159,8 @@ def read_frame(
         if shows_volume(hidden):
             description.unseen.append(str(problem))
         description.warnings += _refused(description, problem)
-    description.warnings += surface_warnings(description.opaque, camera.projection == "equirectangular")
+    panorama = camera.projection == "equirectangular"
+    description.warnings += surface_warnings(description.opaque, panorama, composited(depsgraph.scene))
     if not description.volumes:
         if not (goes_on or description.empty or volumes_change(_objects(depsgraph))):
             require_volumes(description)

@@ -16,28 +16,29 @@ class Unrendered:
     surfaces: list[str] = field(default_factory=list)
 
     @property
-    def lines(self) -> list[str]:
-        """One line per kind; none without objects."""
-        found = []
-        if self.surfaces:
-            found.append(f"Not rendered: {_names(self.surfaces, 'surface')}. Surfaces only hide and shade volumes")
-        return found
+    def sentence(self) -> str:
+        """What they are for here, or ""."""
+        if not self.surfaces:
+            return ""
+        does = "hides, shades and lights" if len(self.surfaces) == 1 else "hide, shade and light"
+        return f"{self.summary}, which only {does} volumes"
 
     @property
     def summary(self) -> str:
         """All in a few words, or ""."""
-        found = [_names(self.surfaces, "surface")] if self.surfaces else []
-        return f"Not rendered: {', '.join(found)}" if found else ""
-
-    @property
-    def message(self) -> str:
-        """`summary`, with a remedy."""
-        more = "; Composite over Cycles in the render properties renders surfaces, too" if self.surfaces else ""
-        return self.summary + more
+        return f"Not rendered: {_names(self.surfaces, 'surface')}" if self.surfaces else ""
 
     def names(self, text: str) -> bool:
         """Whether a text mentions one of them."""
         return any(f'"{name}"' in text for name in self.surfaces)
+
+    def told_last(self, warnings: list[str]) -> list[str]:
+        """A render's warnings, those of the surfaces last: Blender's window shows the last report only."""
+        named = [warning for warning in warnings if self.names(warning)]
+        others = [warning for warning in warnings if not self.names(warning)]
+        if not named and self.surfaces:
+            named = [f"{self.sentence}; Composite over Cycles renders surfaces, too"]
+        return others + named
 
 
 def composited(scene: "bpy.types.Scene") -> bool:

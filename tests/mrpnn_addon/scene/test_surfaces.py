@@ -254,3 +254,42 @@ def test_meshes_without_faces_are_no_surfaces(addon, scene, tmp_path, places, ed
     mesh.from_pydata(places, edges, [])
     blender_scenes.add_object(scene, "bare", mesh)
     assert read(addon).surfaces == []
+
+
+def told(capfd):
+    """Reports of a render that mention the ball, as the console shows them."""
+    return [line for line in capfd.readouterr().out.splitlines() if '"Ball"' in line]
+
+
+def test_f12_tells_of_a_surface_once(addon, scene, tmp_path, capfd):
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.mrpnn.depth_samples = 1
+    blender_scenes.cloud_scene(scene, tmp_path)
+    shown = ball(scene, (0.0, 0.0, -2.0))
+    scene.render.engine = "MRPNN"
+    capfd.readouterr()
+    blender_scenes.rendered(scene, tmp_path)
+    lines = told(capfd)
+    assert len(lines) == 1 and "Composite over Cycles renders it, too" in lines[0]
+    # One that volumes do not meet either is named as well.
+    shown.visible_camera = shown.visible_volume_scatter = False
+    blender_scenes.rendered(scene, tmp_path)
+    assert len(told(capfd)) == 1
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_a_composite_does_not_offer_a_composite(addon, scene, tmp_path, capfd, textured):
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.mrpnn.depth_samples = 1
+    blender_scenes.cloud_scene(scene, tmp_path)
+    shown = ball(scene, (0.0, 0.0, -2.0))
+    if textured:
+        tree = shown.data.materials[0].node_tree
+        texture = tree.nodes.new("ShaderNodeTexNoise")
+        tree.links.new(texture.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    bpy.ops.mrpnn.composite()
+    capfd.readouterr()
+    blender_scenes.render_cycles(scene, tmp_path, samples=1)
+    lines = told(capfd)
+    assert not any("Composite" in line or "ot rendered" in line for line in lines)
+    assert len(lines) == textured and all("without textures" in line for line in lines)
