@@ -25,6 +25,8 @@ _OWN_SETTINGS_PROPERTIES = {"rna_type", "name", "version", "preset"}
 _FORMAT = ("media_type", "file_format", "color_mode")
 _SCENE_PROPERTIES = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set")
 _LAYER_COLLECTION_PROPERTIES = ("exclude", "holdout", "indirect_only", "hide_viewport")
+# What `composite` sets in a scene's MRPNN_PG_composite.
+_OWN_STATE = "active", "volumes", "shadows", "engine", "compositing", "made_tree", "depth_layer"
 _RAYS = (
     "visible_camera",
     "visible_diffuse",
@@ -49,6 +51,7 @@ class MRPNN_PG_composite(bpy.types.PropertyGroup):
     engine: StringProperty(name="Render Engine Before")
     compositing: BoolProperty(name="Compositing Before")
     made_tree: BoolProperty(name="Compositor Made")
+    depth_layer: StringProperty(name="View Layer Given a Depth Pass")
 
 
 def composite_state(scene: "bpy.types.Scene") -> MRPNN_PG_composite:
@@ -74,7 +77,10 @@ def composite(scene: "bpy.types.Scene", shadows: bool) -> None:
     state.shadows = shadows
     render: Any = scene.render
     render.engine, render.use_compositing = "CYCLES", True
+    without_depth = [layer.name for layer in scene.view_layers if not layer.use_pass_z]
     state.made_tree = build_nodes(scene, state.volumes) or (state.active and state.made_tree)
+    given = [name for name in without_depth if scene.view_layers[name].use_pass_z]
+    state.depth_layer = given[0] if given else state.depth_layer
     state.active = True
     synchronize(scene)
 
@@ -86,7 +92,9 @@ def remove_composite(scene: "bpy.types.Scene") -> None:
     if state.engine:
         scene.render.engine = state.engine
     scene.render.use_compositing = state.compositing
-    for name in ("active", "volumes", "shadows", "engine", "compositing", "made_tree"):
+    if state.depth_layer in scene.view_layers:
+        scene.view_layers[state.depth_layer].use_pass_z = False
+    for name in _OWN_STATE:
         state.property_unset(name)
     if volumes is not None:
         bpy.data.scenes.remove(volumes)
@@ -159,7 +167,7 @@ def _volume_scene(scene: "bpy.types.Scene", name: str) -> "bpy.types.Scene":
     volumes = scene.copy()
     volumes.name = name
     own = composite_state(volumes)
-    for prop in ("active", "volumes", "shadows", "engine", "compositing", "made_tree"):
+    for prop in _OWN_STATE:
         own.property_unset(prop)
     if bpy.app.version >= (5, 0, 0):
         settings: Any = volumes

@@ -269,6 +269,19 @@ def test_a_panorama_without_a_depth_pass_is_composited(addon, scene, cloud, tmp_
     np.testing.assert_allclose(found, layer_of(scene), rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.parametrize("depth", [False, True])
+@pytest.mark.parametrize("repaired", [False, True])
+def test_removing_a_panoramas_composite_restores_the_depth_pass(addon, scene, cloud, depth, repaired):
+    turned_panorama(scene)
+    scene.view_layers[0].use_pass_z = depth
+    bpy.ops.mrpnn.composite()
+    if repaired:
+        bpy.ops.mrpnn.composite()
+    assert scene.view_layers[0].use_pass_z
+    bpy.ops.mrpnn.composite_remove()
+    assert scene.view_layers[0].use_pass_z is depth
+
+
 @pytest.mark.parametrize("persistent", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_removing_the_composite_restores_the_scene(addon, scene, cloud, tmp_path, persistent):
     wall(scene, -3.0)
