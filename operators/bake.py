@@ -14,7 +14,7 @@ from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, l
 from ..mrpnn_addon.baking.fast_settings import set_fast
 from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import report, status_bar
-from ..mrpnn_addon.scene.reader import SceneDescription, read_frame, require_light
+from ..mrpnn_addon.scene.reader import SceneDescription, read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
 from .waiting import SceneLoading
@@ -56,7 +56,6 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         """Bake while Blender waits."""
         try:
             description = read_frame(context.evaluated_depsgraph_get())
-            require_light(description)
             baked = bake_scene(description, self._settings(context), self._target(context.scene))
         except (SceneError, OSError) as error:
             return self._fail(error)
@@ -86,7 +85,6 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
             if self._loading.worker is not None:
                 return self._loading.worker
         self._description = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
-        require_light(self._description)
         self._loading = None
         return BakeJob(self._description, self._settings(context), self._target(context.scene))
 

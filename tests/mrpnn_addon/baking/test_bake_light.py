@@ -184,11 +184,20 @@ def test_a_folder_that_cannot_be_made_is_named(addon, scene, cloud, tmp_path):
     assert not lights() and not scene.mrpnn_light.active
 
 
-def test_a_scene_without_light_is_refused(addon, scene, cloud, tmp_path):
-    bpy.data.objects.remove(scene.objects["Sun"])
-    with pytest.raises(RuntimeError, match="no sun"):
+@pytest.mark.parametrize("baked_before", [False, True])
+def test_without_light_the_bake_is_dark_and_says_what_is_missing(addon, scene, cloud, tmp_path, baked_before):
+    """As in the picture of every other door: black, with the alpha of the volume."""
+    if baked_before:
         bake(tmp_path)
-    assert scene.cycles.volume_bounces == 7 and not lights()
+    bpy.data.objects.remove(scene.objects["Sun"])
+    job = addon.mrpnn_addon.baking.bake_job
+    described = addon.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph())
+    warned = job.bake_scene(described, scene.mrpnn.settings(), job.BakeTarget(str(tmp_path / "other"))).warnings
+    assert any("frame 1 is black" in text and "add a sun" in text for text in warned)
+    bake(tmp_path)
+    assert len(lights()) == 1
+    found = in_cycles(scene, tmp_path, samples=4)
+    assert not found[..., :3].any() and found[..., 3].max() > 0.3
 
 
 def test_light_that_ground_throws_back_is_baked(addon, scene, cloud, tmp_path):
