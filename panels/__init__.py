@@ -16,6 +16,7 @@ from . import (
     visibility_panel,
     world_panel,
 )
+from .text import tells_names
 
 # Blender draws panels in the order of their registration, parents first.
 _parent, *_children = render_panel.classes
@@ -28,6 +29,8 @@ CLASSES = (
     *_children,
     *(panel for module in MODULES for panel in module.classes),
 )
+for _panel in CLASSES:
+    _panel.draw = tells_names(_panel.draw)
 
 
 def register() -> None:

@@ -1,16 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Wraps sentences in panels, whose labels do not wrap."""
+"""Wraps sentences in panels, whose labels do not wrap, and tells in them which names cannot be read."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import blf
 import bpy
 
-from ..mrpnn_addon.runtime.text import label, safe_text
+from ..inference.scene import SceneError
+from ..mrpnn_addon.runtime.text import label, safe_text, utf8_names
 
 # Margins of panel and box, icon and label padding, in pixels at scale 1.
 MARGIN = 72
+
+
+Draw = Callable[[Any, "bpy.types.Context"], None]
+
+
+def tells_names(draw: Draw) -> Draw:
+    """A panel's `draw` that shows, instead of an error on the console, a name in the file that is not UTF-8."""
+
+    @functools.wraps(draw)
+    def told(self: Any, context: "bpy.types.Context") -> None:
+        try:
+            with utf8_names():
+                draw(self, context)
+        except SceneError as problem:
+            draw_text(context, self.layout, str(problem), "ERROR")
+
+    return told
 
 
 def draw_text(context: "bpy.types.Context", layout: "bpy.types.UILayout", text: str, icon: Any = "NONE") -> None:
