@@ -15,6 +15,17 @@ MADE = ("build", "data", "runs", ".venv")
 # Page, sentence with numbers, module, and of each number its value there.
 FACTS = [
     (
+        "docs/weights.md",
+        r"Held-back seeds of evened volumes end at 1 (600) (999), those of solids at 1 (500) (999)",
+        "training.data.volumes",
+        (
+            "max(HELD_BACK_SATURATED) // 1000 - 1000",
+            "max(HELD_BACK_SATURATED) % 1000",
+            "max(HELD_BACK_SOLIDS) // 1000 - 1000",
+            "max(HELD_BACK_SOLIDS) % 1000",
+        ),
+    ),
+    (
         "docs/method.md",
         r"optically thicker than (\S+) is cut into 2, 4 or (\d+), up to (\d+) times; that bound grows by e per (\d+)",
         "inference.marching.ray_steps",
