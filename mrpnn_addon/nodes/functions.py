@@ -220,6 +220,12 @@ def _bright_contrast(values: "NodeEvaluator", node: Node, output: Socket, groups
 
 
 def _attribute(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
+    of_object = getattr(node, "object_value", None)
+    if of_object is not None:
+        colour = np.array([of_object[:3]])
+        if output.identifier == "Alpha":
+            return np.full((1, 1), of_object[3])
+        return colour.mean(axis=1, keepdims=True) if output.type == "VALUE" else colour
     if node.attribute_type != "GEOMETRY" or output.identifier == "Alpha":
         raise unsupported(node, f"{output.name} of type {node.attribute_type}")
     found = values.points.attribute(node.attribute_name, node)

@@ -21,6 +21,8 @@ LIGHT_MARK = "mrpnn_light"
 #: Types of objects that Blender converts to meshes, in which Cycles renders volumes.
 MESHES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 SURFACES = MESHES | {"CURVES", "POINTCLOUD"}
+#: Of a missing grid of the density, where the material reads others.
+BOXES = "there is no fog here, where Cycles fills boxes around the other grids; enter one of them in Density Attribute"
 
 
 @dataclass
@@ -51,13 +53,15 @@ class Shading:
     """All shaders of a material at n points.
 
     closures: those that scatter or absorb. emission: (n, 3) or (1, 3), their sum. blackbody: as of Closure. notes:
-    deviations from Cycles, and what it reads that is missing, which `missing` holds alone.
+    deviations from Cycles, and what it reads that is missing, which `missing` holds alone. boxes: missing grids without
+    which Cycles fills boxes with fog.
     """
 
     closures: list[Closure] = field(default_factory=list)
     emission: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     notes: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
+    boxes: list[str] = field(default_factory=list)
     blackbody: np.ndarray | None = None
 
 
@@ -77,7 +81,10 @@ class VolumeMaterial:
     Raises SceneError, naming object, material and node, for anything that cannot be rendered, when made or evaluated.
     """
 
-    def __init__(self, material: "bpy.types.Material | None", where: str) -> None:
+    def __init__(
+        self, material: "bpy.types.Material | None", where: str, shown: "bpy.types.Object | None" = None
+    ) -> None:
+        """shown: the evaluated object that has the material, of which Attribute nodes may read properties."""
         self.where = where if material is None else f'{where}, material "{material.name}"'
         self.output, self._notes = None, []
         if material is None:
@@ -89,7 +96,7 @@ class VolumeMaterial:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
         if not shows_no_surface(self.output):
             self._notes.append("its surface shader is not rendered; unlink it")
-        self.output = snapshot(material.node_tree, self.output)
+        self.output = snapshot(material.node_tree, self.output, shown)
 
     def refuse(self, problem: Exception | str, kind: type[SceneError] = SceneError) -> NoReturn:
         """Raise SceneError, or a subclass, naming object and material."""
@@ -110,7 +117,10 @@ class VolumeMaterial:
         for name, node in points.missing.items():
             reads = "the default material" if node is None else f'node "{node.name}"'
             shading.missing.append(f"{reads} reads {points.absent(name)}")
-        shading.notes += [f"{missing}; it counts as 0, as in Cycles" for missing in shading.missing]
+            # Cycles has no boxes without voxels of other grids.
+            differs = name in shading.boxes and points.names
+            ends = BOXES if differs else "it counts as 0, as in Cycles"
+            shading.notes.append(f"{shading.missing[-1]}; {ends}")
         return shading
 
 
@@ -219,10 +229,13 @@ def _principled(shading: Shading, values: NodeEvaluator, node: Node, groups: Gro
         colour = colour * np.maximum(points.attribute(names["Color"], node), 0.0)
     elif names["Color"]:
         _leaves_unchanged(shading, points, node, "Color", names["Color"])
-    # A missing attribute leaves Density unchanged in meshes. In a Volume object Cycles would fill boxes around the
-    # voxels of other grids: reading the attribute gives 0 instead.
+    # A missing attribute leaves Density unchanged in meshes. In a Volume object Cycles fills boxes around the voxels of
+    # other grids: here it counts as 0.
     weight, grid = np.ones((1, 1)), ""
-    if names["Density"] and (points.has(names["Density"]) or not (shaped or points.fills_its_bounds)):
+    if names["Density"] and not (points.has(names["Density"]) or shaped or points.fills_its_bounds):
+        weight = points.attribute(names["Density"], node)
+        shading.boxes.append(names["Density"])
+    elif names["Density"] and points.has(names["Density"]):
         found = points.attribute(names["Density"], node)
         # Of a grid of vectors, the mean of the components.
         weight, grid = (found, names["Density"]) if found.shape[1] == 1 else (found.mean(axis=1, keepdims=True), "")

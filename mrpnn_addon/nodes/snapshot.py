@@ -12,6 +12,7 @@ import numpy as np
 
 from .environment_image import read_pixels
 from .functions import RAMP_CELLS, curve_tables
+from .object_attributes import OBJECT, object_value
 from .sockets import Node, Socket
 
 PLAIN = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}
@@ -40,12 +41,15 @@ class Ramp(Copy):
         return self.table[round(place * (RAMP_CELLS - 1))]
 
 
-def snapshot(tree: Any, node: Node) -> Copy:
-    """A copy of one node of a tree, with all nodes that it is linked to."""
-    return _tree(tree, {})[node.as_pointer()]
+def snapshot(tree: Any, node: Node, shown: "bpy.types.Object | None" = None) -> Copy:
+    """A copy of one node of a tree, with all nodes that it is linked to.
+
+    shown: the evaluated object that has the material, of which Attribute nodes read properties.
+    """
+    return _tree(tree, {}, shown)[node.as_pointer()]
 
 
-def _tree(tree: Any, groups: dict[int, dict[int, Node]]) -> dict[int, Node]:
+def _tree(tree: Any, groups: dict[int, dict[int, Node]], shown: "bpy.types.Object | None") -> dict[int, Node]:
     """Copies of a tree's nodes, by pointer. groups: copies of group trees made so far, by pointer."""
     nodes: dict[int, Node] = {}
     sockets: dict[int, Socket] = {}
@@ -55,7 +59,7 @@ def _tree(tree: Any, groups: dict[int, dict[int, Node]]) -> dict[int, Node]:
             found = [_socket(socket, copy) for socket in getattr(node, side)]
             sockets.update(zip((socket.as_pointer() for socket in getattr(node, side)), found))
             setattr(copy, side, found)
-        _copy_references(copy, node, groups)
+        _copy_references(copy, node, groups, shown)
         nodes[node.as_pointer()] = copy
     for node in tree.nodes:
         nodes[node.as_pointer()].internal_links = [_link(link, sockets) for link in node.internal_links]
@@ -92,8 +96,12 @@ def _link(link: Any, sockets: dict[int, Socket]) -> Copy:
     return Copy(is_muted=link.is_muted, is_valid=link.is_valid, from_node=start.node, from_socket=start, to_socket=end)
 
 
-def _copy_references(copy: Node, node: Node, groups: dict[int, dict[int, Node]]) -> None:
+def _copy_references(
+    copy: Node, node: Node, groups: dict[int, dict[int, Node]], shown: "bpy.types.Object | None"
+) -> None:
     """Copy what a node refers to."""
+    if node.bl_idname == "ShaderNodeAttribute" and node.attribute_type == OBJECT and shown is not None:
+        copy.object_value = object_value(shown, node.attribute_name)
     if hasattr(node, "color_ramp"):
         ramp = node.color_ramp
         copy.color_ramp = Ramp(
@@ -113,5 +121,5 @@ def _copy_references(copy: Node, node: Node, groups: dict[int, dict[int, Node]])
     if hasattr(node, "node_tree"):
         key = node.node_tree and node.node_tree.as_pointer()
         if key and key not in groups:
-            groups[key] = _tree(node.node_tree, groups)
+            groups[key] = _tree(node.node_tree, groups, shown)
         copy.node_tree = Copy(nodes=list(groups[key].values())) if key else None

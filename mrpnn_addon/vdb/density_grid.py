@@ -36,6 +36,10 @@ class EmptyGrid(SceneError):
     """A grid whose voxels are all 0."""
 
 
+class InvalidGrid(EmptyGrid):
+    """A grid whose voxels are all 0, NaN or infinite."""
+
+
 @dataclass
 class DensityGrid:
     """A grid in object space.
@@ -62,9 +66,10 @@ class DensityGrid:
 
 # Grids in use, by (path, time, size, grid name): weak reference to the density, matrix, low, background, notes.
 _in_use: dict[tuple, tuple] = {}
-# Files that another process has read without crashing, and grids whose voxels are all 0, by the same key.
+# Files that another process has read without crashing, and grids whose voxels are all 0, by the same key, with whether
+# some were NaN or infinite.
 _verified: set[tuple] = set()
-_empty: set[tuple] = set()
+_empty: dict[tuple | None, bool] = {}
 
 
 def read_density_grid(
@@ -87,17 +92,22 @@ def read_density_grid(
         return known
     key = _key(path, grid_name)
     if key in _empty:
-        raise _nothing(key, grid_name, where)
+        raise _nothing(_empty[key], grid_name, where)
     facts, leaves = _read(path, grid_name, where, key, started)
     notes = _require_density(facts["grids"], path, grid_name, where)
     _require_box(facts["shape"], grid_name, where)
     numbers, values = leaves
-    background = float(np.nan_to_num(np.float32(facts["background"]), nan=0.0, posinf=0.0, neginf=0.0))
+    background = float(np.float32(facts["background"]))
+    if not np.isfinite(background):
+        background = 0.0
+        notes.append(f'grid "{grid_name}" has a background that is NaN or infinite; it counts as 0')
     values[0] = background
-    notes += _clean(values, grid_name)
+    invalid, found = _clean(values, grid_name)
+    notes += found
     # OpenVDB's box is inverted where there are no active voxels.
     if min(facts["shape"]) < 1 or not values.any():
-        raise _nothing(key, grid_name, where)
+        _empty[key] = invalid
+        raise _nothing(invalid, grid_name, where)
     if facts["matrix"] is None:
         raise SceneError(f'{where}: grid "{grid_name}" has a frustum transform; resample it to a box')
     matrix = np.array(facts["matrix"])
@@ -121,8 +131,9 @@ def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | 
     return DensityGrid(values, matrix.copy(), low, background, [f'Volume object "{owner}": {note}' for note in notes])
 
 
-def _nothing(key: tuple | None, grid_name: str, where: str) -> EmptyGrid:
-    _empty.add(key)
+def _nothing(invalid: bool, grid_name: str, where: str) -> EmptyGrid:
+    if invalid:
+        return InvalidGrid(f'{where}: grid "{grid_name}" is empty (all its voxels are 0, NaN or infinite)')
     return EmptyGrid(f'{where}: grid "{grid_name}" is empty (all its voxels are 0)')
 
 
@@ -264,11 +275,11 @@ def _require_box(shape: Sequence[int], grid_name: str, where: str) -> None:
         )
 
 
-def _clean(values: np.ndarray, grid_name: str) -> list[str]:
-    """Set non-finite voxels to 0; notes their number and that of negative ones."""
+def _clean(values: np.ndarray, grid_name: str) -> tuple[bool, list[str]]:
+    """Set non-finite voxels to 0; whether there were any, and notes of their number and that of negative ones."""
     # NaN fails both comparisons.
     if values.min() >= 0.0 and values.max() < np.inf:
-        return []
+        return False, []
     invalid, negative = ~np.isfinite(values), np.count_nonzero(values[1:] < 0.0)
     values[invalid] = 0.0
     found = []
@@ -276,4 +287,4 @@ def _clean(values: np.ndarray, grid_name: str) -> list[str]:
         found.append(f"{negative} negative voxels, whose density is 0 as in Cycles")
     if invalid.any():
         found.append(f"{np.count_nonzero(invalid)} NaN or infinite voxels, which were set to 0")
-    return [f'grid "{grid_name}" has {" and ".join(found)}'] if found else []
+    return bool(invalid.any()), [f'grid "{grid_name}" has {" and ".join(found)}'] if found else []

@@ -113,7 +113,8 @@ def _extinctions(shown: VisibleObject) -> np.ndarray:
         scale = density_scale(shown.data.render.space, shown.matrix)
     meshed = shown.object.type != "VOLUME" and not gas_domain(shown.object)
     try:
-        shading = VolumeMaterial(first_material(shown.object), shown.name).at(_OnesProbe((), fills_its_bounds=meshed))
+        material = VolumeMaterial(first_material(shown.object), shown.name, shown.object)
+        shading = material.at(_OnesProbe((), fills_its_bounds=meshed))
     except SceneError:
         # Rendering reports the problem.
         return np.full(3, scale)

@@ -21,6 +21,7 @@ from ..nodes.material import (
     materials,
     shows_volume,
 )
+from ..nodes.object_attributes import object_values
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
@@ -138,14 +139,15 @@ class VolumeReader:
 
 def _key(shown: VisibleObject, placed: bool) -> tuple:
     """Identifies a volume's content. Instances share their data and materials, but differ where a shader reads
-    positions.
+    positions or properties of the object.
 
     Evaluated data belongs to its object or to all its instances; a fluid domain's changes with the frame.
     """
     data, domain = shown.data, gas_domain(shown.object)
     shaders = tuple(material.as_pointer() if material else 0 for material in materials(shown.object))
     content = checksum(domain) if domain else None
-    return data.name_full, data.as_pointer(), shaders, shown.matrix.tobytes() if placed else None, content
+    read = object_values(first_material(shown.object), shown.object)
+    return data.name_full, data.as_pointer(), shaders, read, shown.matrix.tobytes() if placed else None, content
 
 
 def _where(shown: VisibleObject) -> str:
@@ -195,7 +197,7 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
         # Volumes of modifiers and geometry nodes have no file: Blender writes one.
         folder = tempfile.mkdtemp(prefix="mrpnn-")
         path = str(Path(folder, "evaluated.vdb"))
-    material = VolumeMaterial(first_material(shown.object), where)
+    material = VolumeMaterial(first_material(shown.object), where, shown.object)
     # Names from Blender: only the other process parses files.
     names, vectors = _grids_of_numbers(data.grids)
     probe = Probe(names, fills_its_bounds=False, vectors=vectors)
@@ -240,7 +242,7 @@ def _load_problem(data: "bpy.types.Volume") -> str:
 def _mesh_material(shown: VisibleObject, where: str) -> VolumeMaterial:
     if len({material.name for material in materials(shown.object) if material}) > 1:
         raise SceneError(f"{where}: it has several volume materials; use one")
-    return VolumeMaterial(first_material(shown.object), where)
+    return VolumeMaterial(first_material(shown.object), where, shown.object)
 
 
 def _fluid_source(shown: VisibleObject, where: str) -> FluidSource:

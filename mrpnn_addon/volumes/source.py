@@ -13,7 +13,7 @@ from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import VolumeMaterial
 from ..objects.mesh_triangles import Mesh
 from ..vdb.common_blocks import CommonBlocks
-from ..vdb.density_grid import MAX_VOXELS, DensityGrid, EmptyGrid, read_density_grid
+from ..vdb.density_grid import MAX_VOXELS, DensityGrid, EmptyGrid, InvalidGrid, read_density_grid
 from ..vdb.leaf_boxes import boxes, leaves_around
 from ..vdb.process import BY_LEAF
 from .common_voxels import CommonVoxels, common_voxels
@@ -111,8 +111,9 @@ class FileSource(VolumeSource):
     ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
         material, probe = self.material, self.probe
         require_a_grid(material, probe)
-        read = self._grids(started)
+        read, invalid = self._grids(started)
         common = common_voxels(read, shaping_grids(material, probe, list(read)), self.where, check)
+        common.warnings += invalid
         check()
         outside = shading_at(material, probe, {name: common.backgrounds.get(name, 0.0) for name in probe.names})
         if not probe.placed or any(common.backgrounds.values()):
@@ -181,20 +182,22 @@ class FileSource(VolumeSource):
                 setattr(shaded, name, channels)
         return shaded
 
-    def _grids(self, started: Callable[[subprocess.Popen], None]) -> dict[str, DensityGrid]:
-        """The grids that the shader reads, by name, without those whose voxels are all 0.
+    def _grids(self, started: Callable[[subprocess.Popen], None]) -> tuple[dict[str, DensityGrid], list[str]]:
+        """The grids that the shader reads, by name, without those whose voxels are all 0; and warnings of those which
+        are because their voxels are no numbers.
 
         Raises EmptyGrid where all are.
         """
-        read, empty = {}, None
+        read, empty, invalid = {}, None, []
         for name in self.probe.names:
             try:
                 read[name] = read_density_grid(self.path, name, self.owner, started)
             except EmptyGrid as problem:
                 empty = problem
+                invalid += [str(problem)] if isinstance(problem, InvalidGrid) else []
         if not read:
             raise empty
-        return read
+        return read, invalid
 
 
 def is_refined(material: VolumeMaterial, probe: Probe, voxels: int, is_negative: bool) -> bool:

@@ -91,6 +91,37 @@ def link_grid(node, source, output, factor=None):
 
 
 @pytest.mark.parametrize(
+    "name, output", [("thickness", "Fac"), ("tint", "Fac"), ("color", "Alpha"), ("scale", "Color")]
+)
+def test_an_attribute_of_the_object_is_its_property(addon, scene, box, tmp_path, name, output):
+    """A number, a list, and properties of Blender's; each object that shares a volume has its own."""
+    cloud, node, _ = build(scene, box, Color=(0.6, 0.6, 0.6, 1.0), Anisotropy=0.2)
+    cloud["thickness"], cloud["tint"], cloud.color = 0.4, [0.2, 0.5, 1.1], (0.0, 0.1, 0.2, 0.7)
+    cloud.scale = 0.9, 0.95, 1.0
+    cloud.data.render.space = "WORLD"
+    attribute = node.id_data.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_type, attribute.attribute_name = "OBJECT", name
+    node.id_data.links.new(attribute.outputs[output], node.inputs["Density"])
+    assert_cycles_agrees(addon, scene, tmp_path)
+
+
+def test_objects_that_share_a_volume_have_attributes_of_their_own(addon, scene, box):
+    cloud, node, _ = build(scene, box)
+    other = blender_scenes.add_object(scene, "Other", cloud.data)
+    other.location.x, cloud["thickness"], other["thickness"] = 5.0, 0.5, 1.5
+    attribute = node.id_data.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_type, attribute.attribute_name = "OBJECT", "thickness"
+    node.id_data.links.new(attribute.outputs["Fac"], node.inputs["Density"])
+    described = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    first, second = (medium.sigma_t * volume.density.max() for volume, medium in described.volumes)
+    np.testing.assert_allclose(second, 3.0 * first)
+    # One that neither object has is 0.
+    attribute.attribute_name = "absent"
+    with pytest.raises(SceneError, match="neither scatters, absorbs nor emits"):
+        addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+
+
+@pytest.mark.parametrize(
     "source, output, factor",
     [
         ("ShaderNodeAttribute", "Fac", None),

@@ -196,6 +196,52 @@ def test_a_grid_that_a_file_lacks_is_0_and_named(addon, scene, tmp_path, change,
     assert seen[..., :3].max() < 1e-3 and not any(volume.emission is not None for volume, _ in read(addon).volumes)
 
 
+def test_a_density_that_a_file_lacks_beside_a_grid_that_is_read_is_named(addon, scene, tmp_path):
+    """Cycles fills boxes around the other grid, which nobody wants."""
+    node = show(scene, write(tmp_path, grid_of(uneven(), "flame")))
+    attribute = node.id_data.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_name = "flame"
+    node.id_data.links.new(attribute.outputs["Fac"], node.inputs["Emission Strength"])
+    (said,) = read(addon).warnings
+    assert 'reads "density"' in said and "Cycles fills boxes" in said and "as in Cycles" not in said
+    layer, seen = pictures(addon, scene, tmp_path)
+    assert not layer.alpha.any() and layer.rgb.max() > 0.1 and seen[..., 3].max() > 0.5
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_voxels_that_are_no_numbers_are_told_wherever_they_are(addon, scene, tmp_path, value):
+    def some(name="density", count=1, background=0.0):
+        # One by one: arrays lose voxels that are no numbers, or all of them beside such a background.
+        grid = grid_of(uneven(), name, background=background)
+        accessor = grid.getAccessor()
+        for number, (index, usual) in enumerate(np.ndenumerate(uneven())):
+            accessor.setValueOn(index, float(value) if number < count else float(usual))
+        return grid
+
+    everything = CELLS**3
+    node = show(scene, write(tmp_path, grid_of(uneven())))
+    volume = scene.objects["Cloud"].data
+
+    def told(*grids):
+        volume.filepath = str(write(tmp_path, *grids))
+        return read(addon).warnings
+
+    (said,) = told(some())
+    assert '"Cloud"' in said and "1 NaN or infinite voxels" in said
+    said = told(some(count=0, background=float(value)))
+    assert any('"density" has a background that is NaN or infinite' in text for text in said)
+    with pytest.raises(SceneError, match="all its voxels are 0, NaN or infinite"):
+        told(some(count=everything))
+    # The same file a second time, as for another object.
+    with pytest.raises(SceneError, match="all its voxels are 0, NaN or infinite"):
+        read(addon)
+    attribute = node.id_data.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_name = "flame"
+    node.id_data.links.new(attribute.outputs["Fac"], node.inputs["Emission Strength"])
+    (said,) = told(grid_of(uneven()), some("flame", count=everything))
+    assert 'grid "flame" is empty (all its voxels are 0, NaN or infinite)' in said
+
+
 def turned(cells, size, angle=0.0, shift=0.0):
     matrix = blender_scenes.centred(cells, size)
     matrix[:3, 3] += shift
