@@ -2,8 +2,9 @@
 """The boxes around voxels in which Cycles evaluates the shader of a Volume object.
 
 A shader that emits where every grid is 0 fills them visibly. Measured in Cycles 4.5: they are the leaves of 8 x 8 x 8
-voxels that contain a voxel above 0.001 or its neighbour across a face. Cycles 5.0 has one box around all such voxels,
-from one voxel below the lowest centre to two above the highest.
+voxels that contain a voxel above 0.001 or its neighbour across a face; where a leaf is one value throughout, files hold
+a tile, across whose faces nothing is filled. Cycles 5.0 has one box around all such voxels, from one voxel below the
+lowest centre to two above the highest.
 """
 
 import bpy
@@ -39,12 +40,19 @@ def boxes(grids: dict[str, np.ndarray], backgrounds: dict[str, float]) -> np.nda
     filled = np.any(active, axis=0)
     if FIVE:
         return _one_box(filled)
+    split = [size for n in filled.shape for size in (n // LEAF, LEAF)]
+    varied = np.any([_varied(values.reshape(split)) for values in grids.values()], axis=0)
+    beside = filled & np.kron(varied, np.ones((LEAF,) * 3, bool))
     grown = filled.copy()
     for axis in range(3):
-        grown |= np.roll(filled, 1, axis) | np.roll(filled, -1, axis)
-    split = [size for n in grown.shape for size in (n // LEAF, LEAF)]
+        grown |= np.roll(beside, 1, axis) | np.roll(beside, -1, axis)
     leaves = grown.reshape(split).any(axis=(1, 3, 5))
     return np.kron(leaves, np.ones((LEAF,) * 3)).astype(np.float32)
+
+
+def _varied(leaves: np.ndarray) -> np.ndarray:
+    """bool (nx, ny, nz): which leaves, (nx, 8, ny, 8, nz, 8), hold several values."""
+    return leaves.max(axis=(1, 3, 5)) > leaves.min(axis=(1, 3, 5))
 
 
 def _one_box(filled: np.ndarray) -> np.ndarray:

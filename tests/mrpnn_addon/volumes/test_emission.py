@@ -146,6 +146,20 @@ def test_emission_of_a_volume_object_equals_cycles(addon, scene, fire, tmp_path,
     assert_cycles_agrees(addon, scene, tmp_path, bias=0.015)
 
 
+@pytest.mark.parametrize("cells", [8, 16])
+def test_constant_blocks_that_emit_equal_cycles(addon, scene, tmp_path, cells):
+    """Files hold them as tiles, around which Cycles 4 has no boxes of light."""
+    scene.render.resolution_x = scene.render.resolution_y = 24
+    block = blender_scenes.write_vdb(tmp_path, np.ones((cells,) * 3), blender_scenes.centred(cells, 2.0))
+    _, node = blender_scenes.add_volume(scene, block, **{**BLACK, "Density": 1.5})
+    blender_scenes.add_camera(scene, ortho_scale=4.5)
+    even(node)
+    layer = layer_of(addon, read(addon))
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=64)
+    # Cycles cuts off the half voxel over which the outermost voxels fade.
+    assert layer.rgb.mean() == pytest.approx(expected[..., :3].mean(), rel=0.25)
+
+
 @pytest.mark.parametrize("density", [0.0, 0.8])
 def test_emission_inside_a_mesh_equals_cycles(addon, scene, tmp_path, density):
     from benchmarks.cycles.scene_features.stage import cube_mesh
