@@ -117,7 +117,6 @@ def visibility_state(depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceVi
         frozenset(
             (
                 shown.name_full,
-                shown.original.holdout_get(view_layer=view_layer),
                 shown.original.indirect_only_get(view_layer=view_layer),
             )
             for shown in depsgraph.objects
@@ -127,9 +126,10 @@ def visibility_state(depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceVi
 
 
 def hidden_from_camera(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") -> str:
-    """The reason why the camera does not see a volume of the scene; "" where it does."""
-    if shown.source.holdout_get(view_layer=view_layer):
-        return "is a holdout"
+    """The reason why the camera does not see a volume of the scene; "" where it does.
+
+    Cycles shows volumes that are holdouts as any others.
+    """
     if shown.source.indirect_only_get(view_layer=view_layer):
         return "is in an indirect-only collection"
     if shown.object.is_shadow_catcher or shown.host.is_shadow_catcher:

@@ -202,7 +202,7 @@ def test_a_view_layer_without_a_volume_that_cycles_would_show_stays_empty(addon,
     scene.collection.children.link(held)
     held.objects.link(cloud)
     scene.collection.objects.unlink(cloud)
-    scene.view_layers["Other"].layer_collection.children["Held"].holdout = True
+    scene.view_layers["Other"].layer_collection.children["Held"].indirect_only = True
     scene.render.filepath = str(tmp_path / "layers.exr")
     bpy.ops.render.render(write_still=True)
     assert shows(combined(tmp_path / "layers.exr", "ViewLayer."))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Holdouts, indirect-only collections and ray visibility: volumes left out or settings ignored, and named."""
+"""Indirect-only collections and ray visibility: volumes left out or settings ignored, and named. Holdouts are shown."""
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from inference import SceneError
+from inference import SceneError, Settings, render
 from tests.support import blender_scenes
 
 
@@ -32,8 +32,6 @@ def read(addon):
 @pytest.mark.parametrize(
     "how, word",
     [
-        ("layer holdout", "holdout"),
-        ("object holdout", "holdout"),
         ("indirect only", "indirect-only"),
         ("camera", "hidden from the camera"),
     ],
@@ -41,11 +39,7 @@ def read(addon):
 def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, word):
     second, layer = two
     assert len(read(addon).volumes) == 2 and not read(addon).warnings[1:]
-    if how == "layer holdout":
-        layer.holdout = True
-    elif how == "object holdout":
-        second.is_holdout = True
-    elif how == "indirect only":
+    if how == "indirect only":
         layer.indirect_only = True
     else:
         second.visible_camera = False
@@ -145,17 +139,36 @@ def test_an_instancer_that_volumes_do_not_see_gives_them_no_light(addon, scene, 
 
 def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, two):
     second, layer = two
-    layer.holdout = True
+    layer.indirect_only = True
     scene.objects["Cloud"].visible_camera = False
     with pytest.raises(SceneError) as problem:
         read(addon)
     assert '"Cloud" is hidden from the camera' in str(problem.value)
-    assert '"Second" is a holdout' in str(problem.value)
+    assert '"Second" is in an indirect-only collection' in str(problem.value)
 
 
-def test_a_holdout_in_one_view_layer_is_rendered_in_another(addon, scene, two):
+@pytest.mark.parametrize("how", ["layer", "object"])
+def test_a_holdout_is_shown_as_in_cycles(addon, scene, tmp_path, how):
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    cloud = blender_scenes.cloud_scene(scene, tmp_path)
+    held = bpy.data.collections.new("Held")
+    scene.collection.children.link(held)
+    held.objects.link(cloud)
+    scene.collection.objects.unlink(cloud)
+    if how == "layer":
+        scene.view_layers[0].layer_collection.children["Held"].holdout = True
+    else:
+        cloud.is_holdout = True
+    found = read(addon)
+    assert not found.warnings
+    layer = render(found.volumes, found.lights, found.camera, Settings(depth_samples=1))
+    seen = blender_scenes.render_cycles(scene, tmp_path, samples=32)[..., 3]
+    assert seen.max() > 0.3 and layer.alpha.mean() == pytest.approx(seen.mean(), rel=0.05)
+
+
+def test_what_one_view_layer_hides_is_rendered_in_another(addon, scene, two):
     _, layer = two
-    layer.holdout = True
+    layer.indirect_only = True
     other = scene.view_layers.new("Other")
     with bpy.context.temp_override(view_layer=other):
         found = addon.mrpnn_addon.scene.reader.read_scene(bpy.context.evaluated_depsgraph_get())
