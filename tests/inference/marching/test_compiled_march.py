@@ -106,7 +106,7 @@ def assert_equal(one: RaySegment, other: RaySegment, tolerance: float) -> None:
         assert difference <= tolerance * np.abs(expected).max(initial=0.0), name
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("name", SCENES)
 def test_compiled_march_equals_its_twin(name, seed):
     scene = random_scene(seed, SCENES[name], 24)
@@ -136,7 +136,7 @@ def random_recipe(random: np.random.Generator) -> Recipe:
     )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(10), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(10, 40))])
 def test_compiled_march_equals_its_twin_in_random_scenes(seed):
     scene = random_scene(seed, random_recipe(np.random.default_rng(1000 + seed)), 16)
     # A ray whose last lit step is a matter of rounding is cut elsewhere; see the share of them.
