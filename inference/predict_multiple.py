@@ -8,8 +8,8 @@ import numpy as np
 from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid
 from .marching.lamp_in_media import LampInMedia, place_lamp
-from .marching.lamp_march import lamp_features_at
-from .marching.ray_march import ray_features_at
+from .marching.marcher import ray_features_at
+from .marching.ray_march import LampMarch
 from .network.network import load_network
 from .network.predictor import POINTS_PER_TASK, Bounds, VolumePredictor
 from .network.prepared_predictors import LampLight, PreparedLampPredictor, PreparedPredictor
@@ -98,9 +98,10 @@ def _prepare_lamp(
     placed, radius = light.lamp, light.radius
     assert isinstance(placed, LampInMedia)
     prepared = predictor.prepare_lamp(sigma_t, light, bounds)
-    fluence, bound = predictor.lamp_fluence(sigma_t, [light]), BoundMedium(grid, medium, sigma_t, [])
+    bound = BoundMedium(grid, medium, sigma_t, [])
+    march = LampMarch([placed], [predictor.lamp_fluence(sigma_t, [light])], radius)
 
     def features_at(positions: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-        return lamp_features_at(bound, positions, directions, placed, fluence, radius).of(slice(None), 0, 0)
+        return ray_features_at(bound, positions, directions, None, march).of(slice(None), 0, 0)
 
     return prepared, features_at

@@ -22,11 +22,11 @@ from .image.prediction_sources import prepare_prediction, solve_transport
 from .image.reflected_light import open_volume, surface_light
 from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
 from .image.work_estimate import WorkEstimate
-from .kernels.library import Kernels, Unavailable, load_kernels, wanted
+from .kernels.library import load_kernels
 from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
 from .marching.lamp_in_media import enclosed_warnings
-from .marching.marcher import prepare_march
+from .marching.marcher import Marcher
 from .marching.ray_march import MarchOptions
 from .network.interfaces import System
 from .occluders.depth_buffer import DepthBuffer
@@ -110,8 +110,8 @@ def _finished_parts(
             plan = make_plan(volumes, lights, camera, settings, surfaces=surfaces)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
-            kernels = load_compiled(settings, report)
-            context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
+            report.kernels = load_kernels().name
+            context = RenderContext(settings, cache, tasks, Progress(progress), report)
             scene = prepare_scene(context, plan, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
@@ -237,20 +237,8 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     lamps = None
     if first and scene.lamps:
         lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
-    march = prepare_march(context.kernels, media, options, channels.indices, context.tasks.stopping, lamps)
+    march = Marcher(media, options, channels.indices, context.tasks.stopping, lamps)
     return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering, near, detail)
-
-
-def load_compiled(settings: Settings, report: Report) -> Kernels | None:
-    """The compiled kernels, or None where they are not wanted, or missing, which causes a warning."""
-    kernels = None
-    if wanted(settings.compiled):
-        try:
-            kernels = load_kernels()
-        except Unavailable as error:
-            report.warnings.append(f"rendering is many times slower than it could be without compiled code: {error}")
-    report.kernels = "numpy" if kernels is None else kernels.name
-    return kernels
 
 
 def prepare_scene(
@@ -278,11 +266,11 @@ def prepare_scene(
         sun_depths = []
         for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
             context.progress.message(f"shadows of {volume.name}")
-            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel, context.kernels))
+            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel))
             context.progress.advance("shadows", count * len(plan.suns))
     with report.stage("shadows"):
         context.progress.message("shadows of lamps")
-        lamps = cache.lamps(plan.lamps, grids, surfaces, cancel, context.kernels) if grids else []
+        lamps = cache.lamps(plan.lamps, grids, surfaces, cancel) if grids else []
         if plan.predicts_lamps:
             for lamp in lamps:
                 report.warnings += enclosed_warnings(lamp, plan.volumes)
@@ -294,7 +282,7 @@ def prepare_scene(
     context.progress.message("preparing volumes")
     with report.stage("fields"):
         groups = [
-            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel, context.kernels)
+            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel)
             if network is not None and plan.multiple[g]
             else None
             for g, members in enumerate(plan.groups)
@@ -355,7 +343,7 @@ def _open_groups(
             visible = open_volume(group.volume, stopping, eye, cancel)
         with context.report.stage("fields"):
             members = [(visible, group.medium)]
-            opened.append(context.cache.group(scene.network, members, [], number, cancel, context.kernels))
+            opened.append(context.cache.group(scene.network, members, [], number, cancel))
     return opened
 
 

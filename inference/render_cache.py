@@ -9,7 +9,6 @@ from typing import Any
 from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid
 from .grids.merge import merge
-from .kernels.library import Kernels
 from .marching.lamp_in_media import LampInMedia, lamp_key, place_lamp
 from .marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
 from .network.environment_network import EnvironmentNetwork, load_environment_network
@@ -98,7 +97,6 @@ class RenderCache:
         grids: Sequence[Grid],
         surfaces: Sequence[Surface] = (),
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> list[LampInMedia]:
         """As `place_lamp`, of each lamp."""
         with cancel.locked(self._lock):
@@ -108,7 +106,7 @@ class RenderCache:
                 known = (placed for others, placed in self._lamps if placed.key == key and _same_grids(others, grids))
                 placed = next(known, None)
                 if placed is None:
-                    placed = place_lamp(lamp, grids, surfaces, cancel, kernels)
+                    placed = place_lamp(lamp, grids, surfaces, cancel)
                 # Its power may have changed.
                 found.append(replace(placed, lamp=lamp))
             self._lamps = [(grids, placed) for placed in found]
@@ -133,19 +131,17 @@ class RenderCache:
         grids: Sequence[Grid],
         number: int,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> ScatteringGroup:
         """The ScatteringGroup of some volumes.
 
-        grids: Grid of each member. number: of the group in its render; replaces the group that had it before. kernels:
-        compiled ones, or None.
+        grids: Grid of each member. number: of the group in its render; replaces the group that had it before.
         """
         with cancel.locked(self._lock):
-            volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel, kernels)
+            volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel)
             known: VolumePredictor | None = self._predictors.get(number)
             if known is None or not _serves(known, network, volume, medium):
                 self._predictors.pop(number, None)
-                known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel, kernels)
+                known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel)
             return ScatteringGroup(volume, medium, known)
 
     def scattered_emission(
@@ -154,13 +150,12 @@ class RenderCache:
         grids: Sequence[Grid],
         number: int,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> ScatteredEmission:
         """Light that a group of volumes emits and scatters; arguments as for `group`."""
         with cancel.locked(self._lock):
             known = self._emission.pop(number, None)
             if known is None or not _same_members(known[0], members):
-                known = members, ScatteredEmission(grids, [medium for _, medium in members], cancel, kernels)
+                known = members, ScatteredEmission(grids, [medium for _, medium in members], cancel)
             self._emission[number] = known
             return known[1]
 
@@ -178,13 +173,12 @@ class RenderCache:
         grids: Sequence[Grid],
         number: int,
         cancel: CancelToken,
-        kernels: Kernels | None,
     ) -> tuple[Volume, Medium]:
         """Members of a group as one medium."""
         known = self._merged.pop(number, None)
         if known is None or not _same_members(known[0], members):
             names = " and ".join(volume.name for volume, _ in members)
-            known = members, merge(grids, [medium for _, medium in members], names, cancel, kernels)
+            known = members, merge(grids, [medium for _, medium in members], names, cancel)
         self._merged[number] = known
         return known[1]
 

@@ -12,8 +12,8 @@ from .kernels import SHARED, library_wheel, load_build
 from .metadata import ROOT, core_metadata, version
 
 PACKAGE = "mrpnn"
-#: Kinds of files of `inference` that run; C is compiled.
-KINDS = (".py", ".onnx", ".sha256")
+#: Kinds of files of `inference` that are read; C is compiled.
+KINDS = (".py", ".onnx", ".sha256", ".h")
 
 
 def _project() -> dict:
@@ -21,19 +21,11 @@ def _project() -> dict:
     return project if "version" in project else project | {"version": version()}
 
 
-def _platform() -> str:
-    build = load_build()
-    name = build.this_platform()
-    if name is None:
-        raise SystemExit(f"no kernels for this kind of computer; there are: {', '.join(build.TARGETS)}")
-    return name
-
-
 def build_wheel(
     wheel_directory: str, config_settings: dict | None = None, metadata_directory: str | None = None
 ) -> str:
     """Write the wheel for this machine; returns its name."""
-    project, platform = _project(), _platform()
+    project, platform = _project(), load_build().this_platform()
     if project["name"] != PACKAGE:
         texts = ROOT / "README.md", ROOT / "packages" / "mrpnn_kernels" / "__init__.py"
         return library_wheel(platform, Path(wheel_directory), project, texts).name
@@ -59,5 +51,5 @@ def build_sdist(sdist_directory: str, config_settings: dict | None = None) -> st
 
 
 def _sources() -> tuple[str, ...]:
-    kinds = (*KINDS, ".c", ".h")
+    kinds = (*KINDS, ".c")
     return (*SHARED, "blender_manifest.toml", *(f"inference/**/*{kind}" for kind in kinds))

@@ -43,7 +43,7 @@ class PathTracer:
     def __init__(self, paths: int = PATHS):
         self.paths = paths
 
-    def predictor(self, volume, cube, anisotropy: float, cancel=NEVER, kernels=None):
+    def predictor(self, volume, cube, anisotropy: float, cancel=NEVER):
         """Of a volume and its working cube. Raises SceneError where the voxels are not cubic."""
         return VolumeTracer(self.paths, volume, cube, anisotropy)
 

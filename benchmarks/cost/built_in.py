@@ -14,7 +14,6 @@ from collections.abc import Callable
 import numpy as np
 import onnxruntime
 
-from inference.kernels.library import load_kernels
 from inference.network.provider import _session
 from inference.network.weights_file import WEIGHTS
 from inference.onnx.session import Session
@@ -45,11 +44,10 @@ def main(options: list[str] | None = None) -> None:
     parser.add_argument("--points", type=int, default=4096)
     parser.add_argument("--rounds", type=int, default=20)
     arguments = parser.parse_args(options)
-    kernels = load_kernels()
     print("| network | milliseconds with onnxruntime | built-in | ratio | difference |\n|---|---|---|---|---|")
     for path in sorted(WEIGHTS.rglob("*.onnx")):
         content = path.read_bytes()
-        theirs, ours = _session(onnxruntime, content, "CPU"), Session(content, kernels)
+        theirs, ours = _session(onnxruntime, content, "CPU"), Session(content)
         given, names = inputs(theirs, arguments.points), [output.name for output in theirs.get_outputs()]
         (expected,), (found,) = theirs.run(names, given), ours.run(names, given)
         difference = np.abs(found - expected).max() / np.abs(expected).max()

@@ -136,7 +136,6 @@ def main():
     parser.add_argument("--ground", action="store_true", help="a plane below the cloud")
     parser.add_argument("--depth-samples", type=int, default=4)
     parser.add_argument("--coverage", type=float, default=0.43)
-    parser.add_argument("--numpy", action="store_true", help="without compiled kernels")
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--table", action="store_true", help="a table of several frames; other options do not count")
     arguments = parser.parse_args()
@@ -150,7 +149,7 @@ def main():
     surfaces = [ground_below(volume)] if arguments.ground else []
     camera = camera_covering(volume, MEDIUM, tuple(arguments.size), arguments.coverage)
     rate, before = sgemm_rate(), process_peak_memory()
-    settings = Settings(arguments.depth_samples, compiled=not arguments.numpy, threads=arguments.threads)
+    settings = Settings(arguments.depth_samples, threads=arguments.threads)
     cache = RenderCache()
     print(
         f"{arguments.size[0]} x {arguments.size[1]}, {arguments.depth_samples} depth samples, {arguments.light}, ",

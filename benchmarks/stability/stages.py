@@ -3,17 +3,16 @@
 
 import numpy as np
 
-from inference import Medium
 from inference.features.mip_lattices import density_pyramid
 from inference.features.phase_features import cumulative_phase
-from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.working_cube import fit_cube, level0_density
-from inference.marching.ray_features import SampleSteps, gather_ray_features
-from inference.marching.ray_march import mean_transmittance
-from inference.marching.ray_steps import Blocks
 from inference.scene.phase_function import henyey_greenstein
+from tests.reference.march import mean_transmittance
+from tests.reference.ray_features import SampleSteps, gather_ray_features
+from tests.reference.ray_steps import Blocks
+from tests.reference.sun_columns import cell_depths
 
 from .case import Case, Outcome
 from .exact import ExactVolume
@@ -26,10 +25,10 @@ def shadows(density, sigma_t):
     def measure():
         volume = placed(density)
         grid, exact = Grid(volume), ExactVolume(volume, sigma_t)
-        medium = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([SUN.direction]))
+        [depth] = grid.sun_depths([SUN.direction])
         index = np.random.default_rng(0).uniform(-1.0, np.array(density.shape), (2000, 3))
         world = index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
-        found = medium.sun_optical_depth(grid.index(world).T.astype(np.float32), 0, may_be_outside=True)
+        found = depth(grid.index(world).T.astype(np.float32), sigma_t)
         error = np.exp(-found) - np.exp(-exact.to_sun(index, SUN.direction))
         return Outcome({"root mean square": float(np.sqrt((error**2).mean())), "mean": float(abs(error.mean()))})
 
@@ -41,7 +40,7 @@ def sweep_precision():
     density = np.random.default_rng(1).random((256, 24, 24)).astype(np.float32) ** 8 * 100
     direction = np.array([0.9, 0.3, -0.2])
     single = sun_optical_depth(density, direction)
-    double = sun_optical_depth(density.astype(np.float64), direction)
+    double = cell_depths(density.astype(np.float64), direction)
     return Outcome({"largest": float(np.abs(single - double).max() / double.max())})
 
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
+from ..kernels.library import load_kernels
 from ..plan.plan import Channels, last_albedo, make_plan
 from ..plan.precision import in_range
-from ..render import load_compiled, prepare_scene
+from ..render import prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
 from ..runtime.progress import Progress
@@ -73,8 +74,8 @@ def bake(
             plan = make_plan(scaled, lights, place, settings, surfaces=seen)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache()
-            kernels = load_compiled(settings, report)
-            context = RenderContext(settings, cache, tasks, Progress(progress), report, kernels)
+            report.kernels = load_kernels().name
+            context = RenderContext(settings, cache, tasks, Progress(progress), report)
             scene = prepare_scene(context, plan, place, seen)
             lit = _Bake(context, scene, camera).run() if scene.plan.volumes else {}
     context.progress.finish()

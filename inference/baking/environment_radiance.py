@@ -7,7 +7,7 @@ import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
-from ..marching.marcher import prepare_march
+from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions
 from ..network.ray_points import RayPoints
 from ..plan.plan import Channels
@@ -54,7 +54,7 @@ class EnvironmentRadiance:
         # Every point needs the optical depth of its ray, however faint that is.
         optimizations = context.settings.leave_out - {"faint_rays"}
         options = MarchOptions(1, None, None, [list(range(len(self._media)))], optimizations, entry_point)
-        self._march = prepare_march(context.kernels, self._media, options, channels.indices, context.tasks.stopping)
+        self._march = Marcher(self._media, options, channels.indices, context.tasks.stopping)
 
     def __call__(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera, as of `PointRadiance`."""

@@ -8,7 +8,7 @@ import numpy as np
 from ..image.context import PreparedScene, RenderContext
 from ..image.lamp_pass import lamps_of_group, prepare_lamp_march
 from ..marching.depth_samples import entry_point
-from ..marching.marcher import prepare_march
+from ..marching.marcher import Marcher
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..network.prepared_predictors import LampLight, PreparedLampPredictor
@@ -37,7 +37,7 @@ class LampRadiance:
         optimizations = context.settings.leave_out - {"faint_rays"}
         options = MarchOptions(1, None, None, [list(range(len(members)))], optimizations, entry_point)
         stopping = context.tasks.stopping
-        self._march = prepare_march(context.kernels, self._media, options, channels.indices, stopping, march)
+        self._march = Marcher(self._media, options, channels.indices, stopping, march)
         self._predictors = []
         sigma_t, extent = float(group.medium.sigma_t[channels.indices[0]]), group.predictor.extent()
         for _, lamp in self._clusters:

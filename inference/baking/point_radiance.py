@@ -9,7 +9,7 @@ from ..grids.bound_medium import BoundMedium
 from ..image.context import PreparedScene, RenderContext
 from ..marching.depth_samples import entry_point
 from ..marching.extended_lights import EquivalentDirections
-from ..marching.marcher import Marcher, prepare_march
+from ..marching.marcher import Marcher
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import MarchOptions
 from ..marching.ray_steps import RayBatch
@@ -62,7 +62,7 @@ class PointRadiance:
             context.settings.leave_out - {"faint_rays"},
             entry_point,
         )
-        return prepare_march(context.kernels, self._media, options, self.channels.indices, context.tasks.stopping)
+        return Marcher(self._media, options, self.channels.indices, context.tasks.stopping)
 
     def __call__(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Radiance float32 (3, N) that an albedo of 1 scatters towards the camera.

@@ -15,8 +15,8 @@ import numpy as np
 from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..grids.working_cube import Cube, level0_density
-from ..kernels.field_structures import LatticePart, Refinement
-from ..kernels.library import Kernels
+from ..kernels import structures
+from ..kernels.library import call
 from ..occluders.shadow_map import ShadowMap
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
@@ -40,12 +40,12 @@ MAX_SHADOW_DEPTH = 10.0
 VISIBILITY_SAMPLES = (1, 1, 1, 2, 4, 4, 4)
 
 
-def density_pyramid(level0: np.ndarray, kernels: Kernels | None = None) -> list[np.ndarray]:
+def density_pyramid(level0: np.ndarray) -> list[np.ndarray]:
     """Levels 0 to 8 by 2 x 2 x 2 means, float32; level m has 2^(8 - m) cells along an edge."""
     levels = [level0]
     while levels[-1].shape[0] > 1:
         levels.append(np.empty([n // 2 for n in levels[-1].shape], np.float32))
-        halve(levels[-2], levels[-1], kernels)
+        halve(levels[-2], levels[-1])
     return levels
 
 
@@ -62,18 +62,16 @@ def padded_levels(pyramid: Sequence[np.ndarray], stencil: Stencil) -> list[np.nd
     return [np.pad(level, margin) for level, margin in zip(pyramid, margins(stencil))]
 
 
-def padded_pyramid(
-    volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelToken = NEVER, kernels: Kernels | None = None
-) -> list[np.ndarray]:
+def padded_pyramid(volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelToken = NEVER) -> list[np.ndarray]:
     """As `padded_levels` of a volume's density, without copies of the levels. Raises Cancelled."""
     padded = [
         np.zeros(((LEVEL0_CELLS >> m) + 2 * margin,) * 3, np.float32) for m, margin in enumerate(margins(stencil))
     ]
     levels = [inner_cells(values, m, stencil) for m, values in enumerate(padded)]
-    level0_density(volume, cube, cancel, kernels, levels[0])
+    level0_density(volume, cube, cancel, levels[0])
     for fine, coarse in zip(levels[:-1], levels[1:]):
         cancel.check()
-        halve(fine, coarse, kernels)
+        halve(fine, coarse)
     return padded
 
 
@@ -82,16 +80,13 @@ def inner_cells(padded: np.ndarray, m: int, stencil: Stencil) -> np.ndarray:
     return padded[(slice(margins(stencil)[m], -margins(stencil)[m]),) * 3]
 
 
-def unit_optical_depths(
-    padded: Sequence[np.ndarray], direction: np.ndarray, kernels: Kernels | None = None
-) -> list[np.ndarray]:
+def unit_optical_depths(padded: Sequence[np.ndarray], direction: np.ndarray) -> list[np.ndarray]:
     """Optical depth towards the sun through levels 1 to 7 for sigma_hat = 1, on the padded lattices.
 
-    direction: (3,) unit vector towards the sun in the cube's frame. kernels: compiled ones, or None.
+    direction: (3,) unit vector towards the sun in the cube's frame.
     """
     return [
-        sun_optical_depth(level, direction, 1.0 / (LEVEL0_CELLS >> m), kernels)
-        for m, level in enumerate(padded[1:], start=1)
+        sun_optical_depth(level, direction, 1.0 / (LEVEL0_CELLS >> m)) for m, level in enumerate(padded[1:], start=1)
     ]
 
 
@@ -184,18 +179,11 @@ class Between:
             share.append((position - below[-1]).astype(np.float32))
         return cls(below, share)
 
-    def interpolated(self, grid: np.ndarray) -> np.ndarray:
-        """The grid at the fine cells."""
-        for axis, (below, share) in enumerate(zip(self.below, self.share)):
-            low, high = grid.take(below, axis), grid.take(below + 1, axis)
-            grid = low + (high - low) * share.reshape([-1 if a == axis else 1 for a in range(3)])
-        return grid
-
-    def described(self, grid: np.ndarray | None) -> Refinement:
+    def described(self, grid: np.ndarray | None) -> structures.Shared:
         """For the kernel; None: left out."""
         if grid is None:
-            return Refinement()
-        return Refinement(
+            return structures.Refinement()
+        return structures.Refinement(
             values=np.ascontiguousarray(grid, np.float32),
             shape=np.array(grid.shape),
             below=tuple(self.below),
@@ -223,15 +211,13 @@ def build_lattices(
     bounds: tuple[np.ndarray | float, np.ndarray | float] = (-0.5, 0.5),
     mapper: Callable[..., Iterable[None]] = map,
     earlier: Lattices | None = None,
-    kernels: Kernels | None = None,
 ) -> Lattices:
     """Lattices of mips 0 to 7 for one optical thickness and one sun.
 
     padded: from `padded_levels`. sigma_hat: extinction per unit density times the cube's edge. sun: None for lattices
     of the density alone, which serve every sun. bounds: lowest and highest (3,), in the cube's frame, of the points to
     describe; what their stencils cannot reach is not built. mapper: `map`, or `Tasks.each` to build parts on several
-    threads. earlier: Lattices of another sun with otherwise equal arguments, whose density is reused. kernels: compiled
-    ones, or None.
+    threads. earlier: Lattices of another sun with otherwise equal arguments, whose density is reused.
 
     Density is interpolated before taking the logarithm, and optical depth before the exponential.
     """
@@ -264,35 +250,20 @@ def build_lattices(
         cells = LEVEL0_CELLS >> source
         fine = Between.of([c * n + margin[m] - 0.5 for c in cube], padded[m].shape)
         coarse = Between.of([c * cells + margin[source] - 0.5 for c in cube], padded[source].shape)
-        least = float(np.exp(-MAX_SHADOW_DEPTH * BETA**source))
-        depth_scale = sigma_hat * BETA**source
-        if kernels is not None:
-            grids = [fine.described(density), coarse.described(depth), coarse.described(visibility)]
-            kernels.prepare(
-                "fill_lattice",
-                LatticePart(
-                    shape=np.array(part.shape),
-                    density=grids[0],
-                    depth=grids[1],
-                    visibility=grids[2],
-                    density_scale=float(scale),
-                    density_step=float(density_step),
-                    depth_scale=depth_scale,
-                    least_visible=least,
-                    packed=columns,
-                    columns=columns.shape[-1],
-                    scratch=np.empty(2 * part.shape[2] + max(padded[m].shape[2], padded[source].shape[2]), np.float32),
-                ),
-            )
-            return
-        if density is not None:
-            feature = np.log(np.float32(1.0) + scale * fine.interpolated(density))
-            columns[..., 0] = np.rint(np.minimum(feature * np.float32(1.0 / density_step), QUANTA))
-        if depth is not None:
-            passed = np.exp(np.float32(-depth_scale) * coarse.interpolated(depth))
-            if visibility is not None:
-                passed *= coarse.interpolated(visibility) * np.float32(1.0 - least) + np.float32(least)
-            columns[..., 1] = np.rint(passed * np.float32(QUANTA))
+        call(
+            "fill_lattice",
+            shape=np.array(part.shape),
+            density=fine.described(density),
+            depth=coarse.described(depth),
+            visibility=coarse.described(visibility),
+            density_scale=float(scale),
+            density_step=float(density_step),
+            depth_scale=sigma_hat * BETA**source,
+            least_visible=float(np.exp(-MAX_SHADOW_DEPTH * BETA**source)),
+            packed=columns,
+            columns=columns.shape[-1],
+            scratch=np.empty(2 * part.shape[2] + max(padded[m].shape[2], padded[source].shape[2]), np.float32),
+        )
 
     # Small parts, so that a cancelled render ends soon.
     planes = [max(CELLS_PER_TASK // lattice[0].size, 1) for lattice in packed]

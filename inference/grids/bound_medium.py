@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.intersection import box_interval
 from ..scene.description import Medium
 from .grid import Grid
-from .sun_optical_depth import ZERO, SunOpticalDepth
+from .sun_optical_depth import SunOpticalDepth
 
 
 @dataclass(frozen=True)
@@ -53,23 +52,6 @@ class BoundMedium:
     def voxel_thickness(self) -> float:
         """Largest optical thickness of a voxel, along its longest edge."""
         return self.grid.peak * self.sigma_t * self.grid.longest
-
-    def sun_optical_depth(
-        self, index: np.ndarray, sun: int, may_be_outside: bool, camera_depth: np.ndarray | np.float32 = ZERO
-    ) -> np.ndarray:
-        """Optical depth float32 (N,) from continuous indices float32 (3, N) to a sun.
-
-        may_be_outside: whether points may lie outside the support. They are moved towards the sun onto it; where the
-        ray misses it the depth is 0. camera_depth: as for SunOpticalDepth.
-        """
-        depth = self.sun_depths[sun]
-        if not may_be_outside:
-            return depth(index, self.sigma_t, camera_depth)
-        direction = depth.direction
-        near, far = box_interval(index.T, direction[None], *self.grid.box)
-        hits = far > np.maximum(near, 0.0)
-        index = index + np.where(hits, np.maximum(near, 0.0), 0.0) * direction[:, None]
-        return np.where(hits, depth(index.astype(np.float32), self.sigma_t, camera_depth), np.float32(0.0))
 
 
 def scattering_channels(media: Sequence[BoundMedium], channels: Sequence[int]) -> list[int]:

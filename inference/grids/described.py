@@ -9,7 +9,7 @@ from .dense_grid import DenseGrid
 from .occupancy import Occupancy
 
 
-def describe_grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
+def describe_grid(grid: DenseGrid | SparseGrid) -> structures.Shared:
     """A grid of trilinear samples."""
     shape = np.array(grid.shape)
     if isinstance(grid, DenseGrid):
@@ -21,7 +21,7 @@ def describe_grid(grid: DenseGrid | SparseGrid) -> structures.Grid:
     return describe_blocks(grid)
 
 
-def describe_blocks(grid: SparseGrid) -> structures.Grid:
+def describe_blocks(grid: SparseGrid) -> structures.Shared:
     """The blocks of a sparse grid."""
     table, values = np.ascontiguousarray(grid.table, np.int32), np.ascontiguousarray(grid.values, np.float32)
     return structures.Grid(
@@ -34,7 +34,7 @@ def describe_blocks(grid: SparseGrid) -> structures.Grid:
     )
 
 
-def describe_occupancy(occupancy: Occupancy) -> structures.Occupancy:
+def describe_occupancy(occupancy: Occupancy) -> structures.Shared:
     """Which cells of a grid may hold a value other than 0."""
     return structures.Occupancy(
         clearance=occupancy.clearance,

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..kernels.library import Kernels
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import affine_inverse, inverse, product
 from ..plan.resolution import refinement
@@ -60,10 +59,8 @@ class Grid:
         self._sun_depths: dict[bytes, SunOpticalDepth] = {}
         self._lock = threading.Lock()
 
-    def sun_depths(
-        self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER, kernels: Kernels | None = None
-    ) -> list[SunOpticalDepth]:
-        """Optical depth towards each sun; directions: unit vectors (3,) in the world. kernels: compiled ones, or None.
+    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: unit vectors (3,) in the world.
 
         Those of the last call are cached. Raises Cancelled.
         """
@@ -74,7 +71,7 @@ class Grid:
                 cancel.check()
                 key = bytes(direction)
                 if key not in self._sun_depths:
-                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel, kernels)
+                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel)
             return [self._sun_depths[bytes(direction)] for direction in index_directions]
 
     def index(self, world: np.ndarray) -> np.ndarray:
@@ -105,11 +102,6 @@ class Grid:
     def sample_density(self, index: np.ndarray) -> np.ndarray:
         """Density (N,) at continuous indices float32 (3, N)."""
         return self.density.sample(index)
-
-    def sample_emission(self, channel: int, index: np.ndarray) -> np.ndarray:
-        """Emission (N,) of a colour channel at continuous indices float32 (3, N)."""
-        values = self.emission[channel].sample(index)
-        return values if self.emission_power == 1 else values * np.abs(values) ** (self.emission_power - 1)
 
     def scattering_of(self, channel: int) -> DenseGrid | SparseGrid:
         """Density times albedo in a colour channel; the density itself for a uniform albedo."""

@@ -12,17 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..kernels import structures
-from ..kernels.field_structures import LampDepths, LampSlices
-from ..kernels.library import Kernels
-from ..numerics.interpolation import lerp_into
+from ..kernels.library import call
 from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.emitters import LampSource, light_start
+from ..scene.emitters import LampSource
 from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
 from .described import describe_grid
-from .optical_depth_sweep import cubic
-from .sphere_depth import EXCESS_MOST, FIRST_PART, NODES, excess_depths
+from .sphere_depth import excess_depths
 
 # Largest number of columns along each axis of a slice, and of slices of a pyramid.
 MAX_COLUMNS, MAX_SLICES = 384, 384
@@ -30,7 +27,6 @@ MAX_COLUMNS, MAX_SLICES = 384, 384
 CELLS_PER_CALL = 1 << 22
 # Optical thickness of a voxel above which the last part of the way is integrated.
 THIN_VOXEL = 0.35
-GAUSS_NODES = (0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0))
 # Distance in voxels to which the lamp is moved away from slices.
 CLOSEST = 1e-6
 # Optical depth of a sphere's radius from which on its light does not start at points.
@@ -80,7 +76,7 @@ class _Pyramid:
         ends = np.diff(along, prepend=self.starts[0])
         return np.stack([ends, np.append(ends[1:], 0.0)], axis=1)
 
-    def described(self) -> structures.Pyramid:
+    def described(self) -> structures.Shared:
         """As compiled kernels read it."""
         return structures.Pyramid(
             depths=self.depths,
@@ -98,7 +94,7 @@ class LampOpticalDepth:
     Of a lamp with a radius it is -ln of the mean transmittance to that side of it which a point sees; the matter within
     it is taken to be even. grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from
     world positions. source: of the lamp's light, in the world. apart: voxels from one column to the next where they
-    leave the grid. kernels: compiled ones, or None. Raises Cancelled.
+    leave the grid. Raises Cancelled.
     """
 
     def __init__(
@@ -109,9 +105,8 @@ class LampOpticalDepth:
         source: LampSource,
         apart: float = 1.0,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ):
-        self.grid, self.world_from_index, self.kernels = grid, inverse(linear), kernels
+        self.grid, self.world_from_index = grid, inverse(linear)
         self.lamp = linear @ source.position + offset
         self.source, self.centre = source, linear @ source.centre + offset
         self._around = self._density_around(linear) if source.radius > 0.0 else 0.0
@@ -169,17 +164,6 @@ class LampOpticalDepth:
         running = np.zeros(pyramid.depths.shape[1:], np.float32)
         # A first slice elsewhere than at the lamp lies where the density begins.
         inside = pyramid.starts[0] == 0.0
-        if self.kernels is None:
-            if inside:
-                running += np.float32(ways[0, 0]) * self.grid.sample(self.lamp[:, None].astype(np.float32))[0]
-            for plane, slice_number, (before, after) in zip(pyramid.planes, slices, ways):
-                cancel.check()
-                density = self._plane(pyramid, plane)
-                running += np.float32(before) * density
-                if slice_number:
-                    pyramid.depths[slice_number] = running
-                running += np.float32(after) * density
-            return
         b, c = (self.grid.shape[axis] for axis in pyramid.others)
         scratch = np.empty(5 * running.shape[1] + c + 6 + b * c, np.float32)
         cells = np.empty(running.shape[1], np.int32)
@@ -187,7 +171,8 @@ class LampOpticalDepth:
         for start in range(0, len(slices), each):
             cancel.check()
             part = slice(start, start + each)
-            data = LampSlices(
+            call(
+                "fill_lamp_columns",
                 density=describe_grid(self.grid),
                 pyramid=pyramid.described(),
                 axis=pyramid.axis,
@@ -201,29 +186,8 @@ class LampOpticalDepth:
                 scratch=scratch,
                 cells=cells,
             )
-            self.kernels.prepare("fill_lamp_columns", data)
 
-    def _plane(self, pyramid: _Pyramid, plane: int) -> np.ndarray:
-        """Density float32 (b, c) where the columns of a pyramid meet a plane of voxel centres."""
-        along = pyramid.sign * (plane - self.lamp[pyramid.axis])
-        sizes = [self.grid.shape[axis] for axis in pyramid.others]
-        index = np.empty((3, *sizes), np.float32)
-        index[pyramid.axis] = plane
-        index[pyramid.others[0]], index[pyramid.others[1]] = np.meshgrid(*map(np.arange, sizes), indexing="ij")
-        density = self.grid.sample(index.reshape(3, -1)).reshape(sizes)
-        for k, (axis, size) in enumerate(zip(pyramid.others, sizes)):
-            slopes = pyramid.first[k] + pyramid.spacing[k] * np.arange(pyramid.depths.shape[1 + k])
-            place = self.lamp[axis] + along * slopes
-            cell = np.floor(place).astype(int)
-            padded = np.concatenate([density, np.zeros((1, density.shape[1]), np.float32)])
-            weights, taps = cubic((place - cell).astype(np.float32)), []
-            for tap, weight in enumerate(weights, -1):
-                voxel = np.where((cell + tap >= 0) & (cell + tap < size), cell + tap, size)
-                taps.append(np.reshape(weight, (-1, 1)) * padded[voxel])
-            density = np.sum(taps, axis=0, dtype=np.float32).T
-        return density
-
-    def described(self, sigma_t: float, forward: float = 0.0) -> structures.LampColumns:
+    def described(self, sigma_t: float, forward: float = 0.0) -> structures.Shared:
         """As compiled kernels read it; sigma_t, forward: as for calls."""
         pyramids = [structures.Pyramid() for _ in range(6)]
         for pyramid in self.pyramids:
@@ -282,90 +246,13 @@ class LampOpticalDepth:
         sigma_t: extinction per unit density and world unit, without the fraction `forward` of all of it that stands for
         light that scatters straight on.
         """
-        if self.kernels is not None:
-            depth = np.empty(index.shape[1], np.float32)
-            index = np.ascontiguousarray(index, np.float32)
-            columns = self.described(sigma_t, forward)
-            data = LampDepths(columns=columns, points=len(depth), index=index, sigma_t=sigma_t, out=depth)
-            self.kernels.prepare("lamp_depths", data)
-            return depth
-        away = index - self.lamp[:, None].astype(np.float32)
-        size = np.abs(away)
-        main = size.argmax(axis=0)
-        depth = np.zeros(index.shape[1], np.float32)
-        thick, excess = self._thick(sigma_t), self._excess(sigma_t, forward)
-        for pyramid in self.pyramids:
-            inside = np.flatnonzero((main == pyramid.axis) & (np.sign(away[pyramid.axis]) == pyramid.sign))
-            if not len(inside):
-                continue
-            depths, outside = self._within(pyramid, away[:, inside], thick)
-            depths *= np.float32(sigma_t)
-            if excess is not None:
-                more = self._beyond(excess, index[:, inside], sigma_t, self._uneven(forward))
-                depths = np.maximum(depths + more, np.float32(0.0))
-            depth[inside] = np.where(outside, np.float32(0.0), depths)
+        depth = np.empty(index.shape[1], np.float32)
+        call(
+            "lamp_depths",
+            columns=self.described(sigma_t, forward),
+            points=len(depth),
+            index=np.ascontiguousarray(index, np.float32),
+            sigma_t=sigma_t,
+            out=depth,
+        )
         return depth
-
-    def _beyond(self, excess: np.ndarray, index: np.ndarray, sigma_t: float, uneven: bool) -> np.ndarray:
-        """Depth float32 (N,) of light of a sphere beyond that from the lamp's place, at continuous indices (3, N).
-
-        excess: of `excess_depths`. uneven: whether it varies with the density on the first part of the way.
-        """
-        steps, radius = index - self.centre[:, None].astype(np.float32), np.float32(self.source.radius)
-        away, offset = self.world_from_index @ steps, self.source.position - self.source.centre
-        distance = np.maximum(np.sqrt((away**2).sum(axis=0)), 1e-15)
-        along = offset @ away / distance
-        apart = float(np.linalg.norm(offset))
-        missing = along - light_start(along, apart, self.source.radius, self.source.soft_falloff)
-        total = np.zeros(len(distance), np.float32)
-        lamp = self.lamp[:, None].astype(np.float32)
-        for node in GAUSS_NODES:
-            total += self.grid.sample(lamp - (steps * (node * missing / distance)).astype(np.float32))
-        # Near the sphere its light comes from around it, through matter of which the mean is known.
-        far = np.maximum(1.0 - (self.source.radius / distance) ** 2, 0.0)
-        density = far * (0.5 * total) + (1.0 - far) * self._around
-        place = (distance / (distance + radius)).astype(np.float32) * np.float32(NODES - 1)
-        cell = np.minimum(place.astype(np.int32), NODES - 2)
-        more = lerp_into(excess[cell], excess[cell + 1], place - cell)
-        if uneven:
-            share = np.minimum(FIRST_PART * self.source.radius / distance, 1.0)
-            places = [self.centre[:, None] + steps * (node * share) for node in GAUSS_NODES]
-            mean = np.mean([self.grid.sample(place.astype(np.float32)) for place in places], axis=0)
-            more *= np.clip(mean / max(self._around, 1e-30), 0.0, EXCESS_MOST).astype(np.float32)
-        return more + (sigma_t * missing * density).astype(np.float32)
-
-    def _within(self, pyramid: _Pyramid, away: np.ndarray, thick: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Depths (N,) at displacements (3, N) from the lamp, all in one pyramid, and whether they leave it."""
-        along = np.abs(away[pyramid.axis])
-        slices, b, c = pyramid.depths.shape
-        cells, parts, outside = [], [], np.zeros(len(along), bool)
-        for k, size in enumerate((b, c)):
-            place = (away[pyramid.others[k]] / along - np.float32(pyramid.first[k])) / np.float32(pyramid.spacing[k])
-            outside |= (place < -1e-3) | (place > size - 1 + 1e-3)
-            place = np.clip(place, np.float32(0.0), np.float32(size - 1))
-            cells.append(np.minimum(place.astype(np.int32), size - 2))
-            parts.append(place - cells[-1])
-        number = np.clip(np.searchsorted(pyramid.starts, along, side="right") - 1, 0, slices - 2)
-        before, after = pyramid.starts[number], pyramid.starts[number + 1]
-        flat, base = pyramid.depths.reshape(-1), (number * b + cells[0]) * np.intp(c) + cells[1]
-
-        def on_slice(offset: int) -> np.ndarray:
-            corners = [flat[offset + more :].take(base) for more in (0, 1, c, c + 1)]
-            return lerp_into(
-                lerp_into(corners[0], corners[1], parts[1]), lerp_into(corners[2], corners[3], parts[1]), parts[0]
-            )
-
-        share = np.clip((along - before) / (after - before), 0.0, 1.0).astype(np.float32)
-        depth = on_slice(0)
-        if thick:
-            way = (share * (after - before)).astype(np.float32)
-            total = np.zeros(len(along), np.float32)
-            lamp = self.lamp[:, None].astype(np.float32)
-            for node in GAUSS_NODES:
-                total += self.grid.sample(lamp + away * ((before + node * way) / along).astype(np.float32))
-            depth += np.float32(0.5) * total * way
-        else:
-            depth += share * (on_slice(b * c) - depth)
-        length = np.linalg.norm(self.world_from_index.astype(np.float32) @ (away / along), axis=0)
-        # Cubic interpolation may fall below 0 beside sharp edges.
-        return np.maximum(depth, np.float32(0.0)) * length, outside

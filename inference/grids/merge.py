@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..kernels.library import Kernels
 from ..numerics.small_matmul import inverse
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
@@ -24,11 +23,10 @@ def merge(
     media: Sequence[Medium],
     name: str,
     cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
 ) -> tuple[Volume, Medium]:
     """One Volume and Medium with the extinction of several, and their mean albedo and mean cosine.
 
-    grids: Grid of each volume. kernels: compiled ones, or None. Voxels are those of the finest grid, or the smallest
+    grids: Grid of each volume. Voxels are those of the finest grid, or the smallest
     multiple of them that leaves at most 256 along an edge. The extinction is exact for grey media; for others each
     colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering;
     where albedos differ or vary, the volume holds its scattering. Raises Cancelled.
@@ -51,7 +49,7 @@ def merge(
     grey = sigma_t.mean(axis=1) / sigma_t.mean(axis=1).max()
     density, totals = np.zeros(shape, np.float32), []
     for grid, factor in zip(grids, grey):
-        values = resampled(grid, grid.density, world_from_index, shape, cancel, kernels)
+        values = resampled(grid, grid.density, world_from_index, shape, cancel)
         totals.append(float(values.sum(dtype=np.float64)))
         density += np.float32(factor) * values
     amounts = np.array(totals)[:, None]
@@ -73,7 +71,7 @@ def merge(
         for c, whole in zip(channels, scattering):
             part = grid.scattering_of(c)
             if id(part) not in known:
-                known = {id(part): resampled(grid, part, world_from_index, shape, cancel, kernels)}
+                known = {id(part): resampled(grid, part, world_from_index, shape, cancel)}
             whole += np.float32(factor * (1.0 if grid.scattering else albedo[c])) * known[id(part)]
     held = tuple(np.minimum(whole, density) for whole in scattering)
     return Volume(density, world_from_index, name, scattering=held), medium
@@ -85,13 +83,12 @@ def resampled(
     world_from_index: np.ndarray,
     shape: np.ndarray,
     cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
     power: int = 1,
 ) -> np.ndarray:
     """Values of a Grid at the voxels of another: float32 of `shape`.
 
     values: the grid's density, or a channel of its emission. world_from_index: (4, 4) transform of the other grid.
-    kernels: compiled ones, or None. power: of the values. Takes the interpolant at voxel centres, or the mean of 2 x 2
+    power: of the values. Takes the interpolant at voxel centres, or the mean of 2 x 2
     x 2 points per voxel where those are the larger voxels. Raises Cancelled.
     """
     out = np.zeros(shape, np.float32)
@@ -103,5 +100,5 @@ def resampled(
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
     places = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T
     reached = out[tuple(map(slice, low, high))]
-    resample(values, power, grid.occupancy, Placement(linear, offset, places).beside(low), reached, cancel, kernels)
+    resample(values, power, grid.occupancy, Placement(linear, offset, places).beside(low), reached, cancel)
     return out

@@ -6,12 +6,11 @@ direction, added to running columns, and the columns are sheared back to the cel
 the cost is a few passes over the grid for any direction.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
-from ..kernels.field_structures import ColumnSweep
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..plan.sun_columns import BEFORE, MORE, Shear
 from ..runtime.cancellation import NEVER, CancelToken
 
@@ -40,80 +39,20 @@ def cubic(f: Fraction) -> list[Fraction]:
     ]
 
 
-def shift_up(planes: np.ndarray, f_b: Fraction, f_c: Fraction, weights: Weights) -> np.ndarray:
-    """Resample planes (..., b, c), 0 outside, at points a fraction beyond each cell.
-
-    f_b, f_c: fractions along b and c, which grow by MORE, from BEFORE cells before the first. weights: `linear` or
-    `cubic`.
-    """
-    for axis, fraction in ((-2, f_b), (-1, f_c)):
-        count = planes.shape[axis] + MORE
-        beside = [(0, 0)] * planes.ndim
-        beside[axis] = (MORE, MORE)
-        padded = np.moveaxis(np.pad(planes, beside), axis, 0)
-        taps = [np.float32(weight) * padded[i : i + count] for i, weight in enumerate(weights(fraction)) if weight]
-        planes = np.moveaxis(sum(taps[1:], taps[0]), 0, axis)
-    return planes
-
-
-def _shift_back(columns: np.ndarray, f_b: Fraction, f_c: Fraction) -> np.ndarray:
-    """Depths at the cells, from columns placed as by `shift_up`."""
-    first, end = BEFORE, len(columns) - MORE + BEFORE
-    b = columns[first:end] * (1 - f_b) + columns[first - 1 : end - 1] * f_b
-    end = columns.shape[1] - MORE + BEFORE
-    return b[:, first:end] * (1 - f_c) + b[:, first - 1 : end - 1] * f_c
-
-
-def sun_optical_depth(
-    density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0, kernels: Kernels | None = None
-) -> np.ndarray:
+def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0) -> np.ndarray:
     """Optical depth from each cell centre towards the sun, for extinction = density.
 
     density: float32 (nx, ny, nz), 0 outside. index_direction: (3,) towards the sun in index units, d(index)/d(length).
-    step_length: factor of that length; 1 for a direction that maps world units to indices. kernels: compiled ones, or
-    None. Returns float32 (nx, ny, nz).
+    step_length: factor of that length; 1 for a direction that maps world units to indices. Returns float32 (nx, ny,
+    nz).
     """
     main = int(np.abs(index_direction).argmax())
     depth = np.empty_like(density, dtype=np.float32)
-    out = np.moveaxis(depth, main, 0)
-    if kernels is not None:
-        compiled_sweep(kernels, density, index_direction, step_length, linear, out)
-        return depth
-    for index, columns, f_b, f_c in sweep(density, index_direction, step_length):
-        out[index] = _shift_back(columns, f_b, f_c)
+    sweep(density, index_direction, step_length, linear, np.moveaxis(depth, main, 0))
     return depth
 
 
 def sweep(
-    density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0, weights: Weights = linear
-) -> Iterator[tuple[int, np.ndarray, np.float32, np.float32]]:
-    """Yield for each slice across the sun's main axis: its index, optical depths and two fractions.
-
-    Arguments as for `sun_optical_depth`. The depths, float32 (b + MORE, c + MORE), are those from the slice to the sun
-    at points that lie by the fractions beyond b - BEFORE and c - BEFORE: every column follows one ray through all
-    slices. weights: of `shift_up`; with `cubic`, depths beside sharp edges may fall slightly below 0. The array is
-    reused for the next slice.
-    """
-    shear = Shear(density.shape, index_direction)
-    slices = np.moveaxis(density, shear.main, 0)
-    nb, nc = slices.shape[1:]
-    # Half the length through a slice: each slice adds to the points before and after it.
-    half_step = np.float32(shear.half_step * step_length)
-    columns = np.zeros(shear.size, np.float32)
-    for index in shear.towards_sun(0, len(slices)):
-        (whole_b, whole_c), (f_b, f_c) = shear.shift(index)
-        # Column p meets the slice at p + slope * k, so cell 0 touches columns from -whole - BEFORE.
-        start_b, start_c = -whole_b - BEFORE - shear.first[0], -whole_c - BEFORE - shear.first[1]
-        window = columns[start_b : start_b + nb + MORE, start_c : start_c + nc + MORE]
-        half_slice = shift_up(slices[index], f_b, f_c, weights)
-        half_slice *= half_step
-        window += half_slice
-        yield index, window, f_b, f_c
-        window += half_slice
-
-
-def compiled_sweep(
-    kernels: Kernels,
     density: np.ndarray,
     index_direction: np.ndarray,
     step_length: float,
@@ -121,10 +60,13 @@ def compiled_sweep(
     depths: np.ndarray,
     cancel: CancelToken = NEVER,
 ) -> np.ndarray:
-    """The whole of a `sweep`; returns the fractions, float32 (slices, 2).
+    """Sweep from slice to slice across the sun's main axis; returns two fractions of each, float32 (slices, 2).
 
-    depths: float32 with the sun's main axis first, filled with those at the cells or, where it is MORE larger along the
-    other axes, those of columns, at least 0. Raises Cancelled.
+    Every column follows one ray through all slices. Those of a slice meet it at points that lie by the fractions beyond
+    b - BEFORE and c - BEFORE. The other arguments are as for `sun_optical_depth`. weights: `linear` or `cubic`, with
+    which depths beside sharp edges may fall slightly below 0. depths: float32 with the sun's main axis first, filled
+    with those at the cells or, where it is MORE larger along the other axes, those of columns, at least 0. Raises
+    Cancelled.
     """
     shear = Shear(density.shape, index_direction)
     slices = np.moveaxis(np.ascontiguousarray(density, np.float32), shear.main, 0)
@@ -136,7 +78,9 @@ def compiled_sweep(
     for start in range(0, len(order), each):
         cancel.check()
         part = slice(start, start + each)
-        data = ColumnSweep(
+        call(
+            "sweep_columns",
+            density=slices.ctypes.data,
             shape=np.array(slices.shape),
             strides=elements(slices),
             count=len(order[part]),
@@ -147,11 +91,10 @@ def compiled_sweep(
             half_step=shear.half_step * step_length,
             columns=columns,
             size=np.array(shear.size),
+            depths=depths.ctypes.data,
             depth_strides=elements(depths),
             scratch=scratch,
         )
-        data.density, data.depths = slices.ctypes.data, depths.ctypes.data
-        kernels.prepare("sweep_columns", data)
     by_slice = np.empty_like(fractions)
     by_slice[order] = fractions
     return by_slice

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels.field_structures import Resampling
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.sparse_grid import SparseGrid
 from .dense_grid import DenseGrid
@@ -43,44 +42,25 @@ def resample(
     placement: Placement,
     out: np.ndarray,
     cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
 ) -> None:
     """Fill out, float32 (x, y, z), with a power of the grid's values that keeps their sign.
 
-    occupancy: of the grid. kernels: compiled ones, or None. Raises Cancelled.
+    occupancy: of the grid. Raises Cancelled.
     """
     each = max(POINTS_PER_BATCH // max(out[:1].size * len(placement.places), 1), 1)
     for start in range(0, len(out), each):
         cancel.check()
         part, placed = out[start : start + each], placement.beside(np.array([start, 0, 0]))
-        if kernels is None:
-            part[...] = _values(grid, power, occupancy, placed, part.shape)
-            continue
-        described, cells = describe_grid(grid), describe_occupancy(occupancy)
-        data = Resampling(
-            grid=described,
-            occupancy=cells,
+        call(
+            "resample",
+            grid=describe_grid(grid),
+            occupancy=describe_occupancy(occupancy),
             power=power,
             shape=np.array(part.shape),
             linear=placed.linear,
             offset=placed.offset,
             points=len(placed.places),
             places=np.ascontiguousarray(placed.places, np.float64),
+            out=part.ctypes.data,
             strides=np.array(part.strides) // part.itemsize,
         )
-        data.out = part.ctypes.data
-        kernels.prepare("resample", data)
-
-
-def _values(
-    grid: DenseGrid | SparseGrid, power: int, occupancy: Occupancy, placement: Placement, shape: tuple[int, ...]
-) -> np.ndarray:
-    """As `resample`, float32 of a shape."""
-    centres = np.indices(shape).reshape(3, -1).T @ placement.linear.T + placement.offset
-    values = np.zeros(len(centres), np.float32)
-    for place in placement.places:
-        index = (centres + place).T.astype(np.float32)
-        near = np.flatnonzero(occupancy.near(index))
-        found = grid.sample(index[:, near])
-        values[near] += found * np.abs(found) ** (power - 1) / np.float32(len(placement.places))
-    return values.reshape(shape)

@@ -5,14 +5,13 @@ Positions in its frame lie in [-1/2, 1/2]^3. Networks see the medium's optical t
 extinction per unit density times the edge of the cube, dimensionless.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..kernels import structures
-from ..kernels.field_structures import CellMeans
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..numerics.small_matmul import affine_inverse, product
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
@@ -95,16 +94,12 @@ def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
 
 
 def level0_density(
-    volume: Volume,
-    cube: Cube,
-    cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
-    out: np.ndarray | None = None,
+    volume: Volume, cube: Cube, cancel: CancelToken = NEVER, out: np.ndarray | None = None
 ) -> np.ndarray:
     """Mean density in each cell of the cube: float32 (256, 256, 256).
 
     Exact means of the trilinear interpolant where grid and cube share their axes; for sheared transforms the mean of
-    2 x 2 x 2 points per cell. kernels: compiled ones, or None. out: zeros to fill, or None. Raises Cancelled.
+    2 x 2 x 2 points per cell. out: zeros to fill, or None. Raises Cancelled.
     """
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32) if out is None else out
     index_from_world = affine_inverse(volume.world_from_index)
@@ -116,32 +111,16 @@ def level0_density(
         centre = origin + cube.low + linear @ np.full(3, 0.5 - LEVEL0_CELLS / 2)
         grid = volume.density if isinstance(volume.density, SparseGrid) else DenseGrid(volume.density)
         occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.CELL, grid.cells_first)
-        resample(grid, 1, occupancy, Placement(linear, centre, INNER @ linear.T), cells, cancel, kernels)
+        resample(grid, 1, occupancy, Placement(linear, centre, INNER @ linear.T), cells, cancel)
         return cells
     edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
     weights = [_cell_weights(edges * scale[axis] + origin[axis], cube.high[axis] - cube.low[axis]) for axis in range(3)]
     firsts, bands = zip(*map(_banded, weights))
-    if kernels is not None:
-        _mean_cells(kernels, volume.density, cube, (firsts, bands), cells, cancel)
-        return cells
-    for low, slab in _slabs(volume.density, cube):
-        cancel.check()
-        first = low - cube.low
-        planes = np.zeros((len(slab), *(cube.high - cube.low)[1:]), np.float32)
-        planes[:, first[1] : first[1] + slab.shape[1], first[2] : first[2] + slab.shape[2]] = slab
-        for axis in (2, 1):
-            shape = [-1 if a == axis else 1 for a in range(3)]
-            planes = sum(
-                part.reshape(shape) * planes.take(firsts[axis] + n, axis) for n, part in enumerate(bands[axis].T)
-            )
-        for number, plane in enumerate(planes, first[0]):
-            met = np.flatnonzero(weights[0][:, number])
-            cells[met] += weights[0][met, number][:, None, None] * plane
-    return np.maximum(cells, 0.0, out=cells)
+    _mean_cells(volume.density, cube, (firsts, bands), cells, cancel)
+    return cells
 
 
 def _mean_cells(
-    kernels: Kernels,
     density: np.ndarray | SparseGrid,
     cube: Cube,
     bands: tuple[Sequence[np.ndarray], Sequence[np.ndarray]],
@@ -155,23 +134,26 @@ def _mean_cells(
         grid = structures.Grid(values=np.ascontiguousarray(density, np.float32), shape=np.array(density.shape))
     firsts, weights = bands
     widths, n, voxels = [band.shape[1] for band in weights], LEVEL0_CELLS, cube.high - cube.low
-    data = CellMeans(
-        density=grid,
-        low=cube.low,
-        voxels=voxels,
-        cells=n,
-        widths=np.array(widths),
-        firsts=tuple(firsts),
-        weights=tuple(weights),
-        strides=np.array(cells.strides) // cells.itemsize,
-        held=np.full(widths[0], -1, np.int64),
-        scratch=np.empty(widths[0] * n * n + voxels[1] * (voxels[2] + n), np.float32),
-    )
-    data.out = cells.ctypes.data
+    held = np.full(widths[0], -1, np.int64)
+    scratch = np.empty(widths[0] * n * n + voxels[1] * (voxels[2] + n), np.float32)
     for start in range(0, n, PLANES):
         cancel.check()
-        data.begin, data.end = start, start + PLANES
-        kernels.prepare("mean_cells", data)
+        call(
+            "mean_cells",
+            density=grid,
+            low=cube.low,
+            voxels=voxels,
+            cells=n,
+            widths=np.array(widths),
+            firsts=tuple(firsts),
+            weights=tuple(weights),
+            begin=start,
+            end=start + PLANES,
+            out=cells.ctypes.data,
+            strides=np.array(cells.strides) // cells.itemsize,
+            held=held,
+            scratch=scratch,
+        )
 
 
 def _banded(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -182,14 +164,3 @@ def _banded(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     width = max(int((count - met[:, ::-1].argmax(axis=1) - first)[met.any(axis=1)].max(initial=1)), 1)
     first = np.minimum(first, count - width)
     return first, np.take_along_axis(weights, first[:, None] + np.arange(width), 1)
-
-
-def _slabs(density: np.ndarray | SparseGrid, cube: Cube) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield boxes of voxels that cover every value other than 0, with the first voxel (3,) of each."""
-    if isinstance(density, SparseGrid):
-        for low, slab in density.crop(cube.low, cube.high).slabs():
-            yield low + cube.low, slab
-        return
-    inside = tuple(map(slice, cube.low, cube.high))
-    for start in range(cube.low[0], cube.high[0], PLANES):
-        yield np.array([start, *cube.low[1:]]), density[(slice(start, min(start + PLANES, cube.high[0])), *inside[1:])]

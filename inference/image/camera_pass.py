@@ -11,7 +11,7 @@ from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
 from ..marching.ray_steps import RayBatch, step_counts
-from ..numerics.random_walk import PLASTIC
+from ..numerics.quadrature import PLASTIC
 from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import end_rays_at_surfaces
 from ..plan.plan import last_albedo
@@ -23,7 +23,7 @@ from .framebuffer import Framebuffer, add_at, summed
 from .lamp_pass import LampMeans, means_around_lamps
 
 # Steps per task: amortises the overhead of calls, and of numpy's arrays fits in cache.
-STEPS_PER_TASK, COMPILED_STEPS_PER_TASK = 200_000, 1_000_000
+STEPS_PER_TASK = 1_000_000
 # Steps of one ray above which a task would need too much memory.
 MAX_STEPS = 1 << 18
 # Estimates of the work ahead march one pixel in PILOT x PILOT.
@@ -157,7 +157,7 @@ def estimate_march(
 def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndarray) -> int:
     """Number of rays that are marched together; counts: int (R,), steps of each ray."""
     evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
-    steps = STEPS_PER_TASK if context.kernels is None else COMPILED_STEPS_PER_TASK
+    steps = STEPS_PER_TASK
     return int(np.clip(steps / evaluated, 16, 4096))
 
 

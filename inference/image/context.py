@@ -10,7 +10,6 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
-from ..kernels.library import Kernels
 from ..marching.extended_lights import ExtendedLights
 from ..marching.lamp_detail import detail_of_rays
 from ..marching.lamp_in_media import LampInMedia
@@ -36,17 +35,13 @@ from .framebuffer import Framebuffer, Window
 
 @dataclass(frozen=True)
 class RenderContext:
-    """How a render works, whatever the scene.
-
-    kernels: compiled kernels, or None where numpy does the work.
-    """
+    """How a render works, whatever the scene."""
 
     settings: Settings
     cache: RenderCache
     tasks: Tasks
     progress: Progress
     report: Report
-    kernels: Kernels | None = None
 
     @property
     def cancel(self) -> CancelToken:

@@ -58,7 +58,7 @@ def correct_environments(
 def _followed(context: RenderContext, scene: PreparedScene) -> bool:
     """Whether paths are traced through a scene."""
     settings, plan = context.settings, scene.plan
-    if context.kernels is None or not (settings.light_paths and settings.multiple):
+    if not (settings.light_paths and settings.multiple):
         return False
     if plan.reflects or plan.sky or len(scene.occluders.triangles):
         return False
@@ -80,7 +80,7 @@ def _compare(
     if not paths:
         return np.ones(channels)
     media = ScatteringMedia([medium for medium in channel_pass.media if medium.sigma_t > 0.0], sources[0].indices)
-    tracer = PathTracer(media, context.kernels, context.tasks.stopping)
+    tracer = PathTracer(media, context.tasks.stopping)
     # Light that scatters too often to be followed, and that of rays on which no path collides, counts as predicted.
     typical = predicted.T / opacity[:, None]
 

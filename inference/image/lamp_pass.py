@@ -10,8 +10,8 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.dense_grid import DenseGrid
 from ..marching.joined_lamps import PredictedLamp, predicted_lamps
 from ..marching.lamp_in_media import LampInMedia
-from ..marching.lamp_march import LampMarch
 from ..marching.mean_lamp_depth import MeanLampDepth
+from ..marching.ray_march import LampMarch
 from ..marching.ray_steps import RayBatch
 from ..network.prepared_predictors import LampLight
 from ..plan.plan import Channels

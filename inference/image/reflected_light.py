@@ -308,7 +308,7 @@ def _passed_sun(
 ) -> np.ndarray:
     """As `_passed`, between world points (N, 3) and a sun."""
     depths = [
-        bound.sun_optical_depth(bound.grid.index(points).T.astype(np.float32), sun, may_be_outside=True)
+        bound.sun_depths[sun](bound.grid.index(points).T.astype(np.float32), bound.sigma_t)
         if bound.sigma_t > 0.0
         else np.zeros(len(points))
         for bound in media

@@ -24,7 +24,7 @@ def prepare_scattered_emission(context: RenderContext, scene: PreparedScene) -> 
         if plan.scattered_emission[g]:
             with report.stage("emission"):
                 found[g] = context.cache.scattered_emission(
-                    plan.members(g), [scene.grids[v] for v in group], g, context.cancel, context.kernels
+                    plan.members(g), [scene.grids[v] for v in group], g, context.cancel
                 )
             report.warn(found[g].warnings(plan.group_name(g)))
     return found

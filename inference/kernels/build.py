@@ -8,6 +8,7 @@ import platform
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,8 +55,8 @@ class BuildError(Exception):
 class Target:
     """A platform that the library is built for.
 
-    triple: of the compiler, with the oldest system that is supported. tag: of that platform in the names of wheels.
-    library: file name. variants: names of the kinds of processors, and what the compiler calls them.
+    triple: of the compiler, with the oldest system that is supported; "" for this one. tag: of that platform in the
+    names of wheels. library: file name. variants: names of the kinds of processors, and what the compiler calls them.
     """
 
     triple: str
@@ -65,7 +66,7 @@ class Target:
 
 
 # By Blender's names of the platforms. Blender 4.2 needs glibc 2.28 and macOS 11.2.
-TARGETS = {
+SHIPPED = {
     "linux-x64": Target("x86_64-linux-gnu.2.28", "manylinux_2_28_x86_64", "mrpnn_kernels.so", X86_VARIANTS),
     "linux-arm64": Target(
         "aarch64-linux-gnu.2.28", "manylinux_2_28_aarch64", "mrpnn_kernels.so", {"baseline": "generic"}
@@ -77,17 +78,25 @@ TARGETS = {
 }
 
 
-def this_platform() -> str | None:
-    """The key of TARGETS that this process runs on, or None."""
-    machine = {"amd64": "x64", "x86_64": "x64", "arm64": "arm64", "aarch64": "arm64"}.get(platform.machine().lower())
+#: Any other platform, for itself.
+NATIVE = "native"
+_PROCESSOR = {"amd64": "x64", "x86_64": "x64", "arm64": "arm64", "aarch64": "arm64"}.get(platform.machine().lower())
+_TAG = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+_VARIANTS = X86_VARIANTS if _PROCESSOR == "x64" else {"baseline": "native"}
+TARGETS = SHIPPED | {NATIVE: Target("", _TAG, "mrpnn_kernels.lib", _VARIANTS)}
+
+
+def this_platform() -> str:
+    """The key of TARGETS that this process runs on."""
     system = {"linux": "linux", "win32": "windows", "darwin": "macos"}.get(sys.platform)
-    name = f"{system}-{machine}"
-    return name if name in TARGETS else None
+    name = f"{system}-{_PROCESSOR}"
+    return name if name in SHIPPED else NATIVE
 
 
 def sources() -> list[Path]:
-    """The C files and headers."""
-    return sorted(path for path in SOURCES.iterdir() if path.suffix in (".c", ".h"))
+    """The C files and headers; none where there are headers alone, as in an installed extension."""
+    found = sorted(path for path in SOURCES.iterdir() if path.suffix in (".c", ".h"))
+    return found if any(path.suffix == ".c" for path in found) else []
 
 
 def library_path(name: str) -> Path:
@@ -104,7 +113,7 @@ def build(name: str) -> Path:
     if found.exists():
         return found
     if importlib.util.find_spec("ziglang") is None:
-        raise BuildError("the Python package ziglang, which compiles it, is not installed")
+        raise BuildError("the Python package ziglang, which compiles it, is not installed: pip install ziglang")
     found.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=BUILD) as folder:
         built = _compile(TARGETS[name], Path(folder))
@@ -140,7 +149,8 @@ def _compile(target: Target, folder: Path) -> Path:
 
 
 def _zig(target: Target, folder: Path, *arguments: str | Path) -> None:
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.triple, *map(str, arguments)]
+    triple = ["-target", target.triple] if target.triple else []
+    command = [sys.executable, "-m", "ziglang", "cc", *triple, *map(str, arguments)]
     environment = {**os.environ, "ZIG_LOCAL_CACHE_DIR": str(folder / "cache")}
     run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     if run.returncode != 0:

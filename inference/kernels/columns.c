@@ -1,11 +1,10 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Optical depths along a sun's rays and from points; the twins are grids/optical_depth_sweep.py,
-
-grids/sparse_columns.py and transport/open_depths.py. */
+/* Optical depths along a sun's rays and from points. */
 
 #include <string.h>
 
 #include "fields.h"
+#include "sampling.h"
 #include "variants.h"
 
 /* Columns that a slice reaches beyond its cells: before the first, and altogether. */
@@ -162,6 +161,22 @@ int64_t NAMED(sample_open_depths, VARIANT)(const OpenDepthSamples *data) {
                 data->depths[p * data->directions + d] = open_depth(data, data->positions + 3 * p, towards, lattice);
             }
         }
+    }
+    return data->points;
+}
+
+int64_t NAMED(sun_depths, VARIANT)(const SunDepths *data) {
+    float extinction = (float)data->sigma_t;
+    for (int64_t point = 0; point < data->points; point += LANES) {
+        int used = data->points - point < LANES ? (int)(data->points - point) : LANES;
+        Floats index[3], depth;
+        for (int axis = 0; axis < 3; axis++) {
+            const float *from = data->index + axis * data->points + point;
+            FOR_LANES(n) index[axis][n] = from[n < used ? n : used - 1];
+        }
+        depth = data->outside ? sun_depth_outside(&data->density, &data->columns, extinction, index, in_all(0.0f))
+                              : sun_depth(&data->density, &data->columns, extinction, index, in_all(0.0f));
+        for (int n = 0; n < used; n++) data->out[point + n] = depth[n];
     }
     return data->points;
 }

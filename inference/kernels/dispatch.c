@@ -12,33 +12,19 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-#define DECLARE(variant)                                                                   \
-    int64_t scratch_bytes_##variant(const Scene *scene, int64_t max_count);                \
-    int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);          \
-    int64_t sweep_columns_##variant(const ColumnSweep *data);                              \
-    int64_t sweep_blocks_##variant(const BlockSweep *data);                                \
-    int64_t sample_open_depths_##variant(const OpenDepthSamples *data);                    \
-    int64_t sweep_ordinates_##variant(const OrdinateSweep *data);                          \
-    int64_t sweep_radiance_##variant(const RadianceSweep *data);                           \
-    int64_t sweep_moments_##variant(const MomentSweep *data);                              \
-    int64_t follow_peak_##variant(const PeakPhotons *data);                                \
-    int64_t trace_paths_##variant(const LightPaths *data);                                 \
-    int64_t conjugate_gradients_##variant(Diffusion *data);                                \
-    int64_t mean_cells_##variant(const CellMeans *data);                                   \
-    int64_t halve_##variant(const Halving *data);                                          \
-    int64_t fill_lattice_##variant(const LatticePart *data);                               \
-    int64_t resample_##variant(const Resampling *data);                                    \
-    int64_t fill_lamp_columns_##variant(const LampSlices *data);                           \
-    int64_t lamp_depths_##variant(const LampDepths *data);                                 \
-    int64_t lamp_beam_##variant(const LampBeam *data);                                     \
-    int64_t lamp_fluence_##variant(const LampFluence *data);                               \
-    int64_t scatter_nearby_##variant(const NearbyLight *data);                             \
-    int64_t gather_light_##variant(const LightGather *data);                               \
-    int64_t multiply_##variant(const MatrixProduct *data);
+#define DECLARE(variant)                                                   \
+    int64_t scratch_bytes_##variant(const Scene *scene, int64_t max_count); \
+    int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);
+#define DECLARE_BASELINE(function, Data) int64_t function##_baseline(Data *data);
+#define DECLARE_AVX2(function, Data) int64_t function##_avx2(Data *data);
+#define DECLARE_AVX512(function, Data) int64_t function##_avx512(Data *data);
 DECLARE(baseline)
+MRPNN_FUNCTIONS(DECLARE_BASELINE)
 #if defined(__x86_64__) && !defined(MRPNN_ONE_VARIANT)
 DECLARE(avx2)
 DECLARE(avx512)
+MRPNN_FUNCTIONS(DECLARE_AVX2)
+MRPNN_FUNCTIONS(DECLARE_AVX512)
 
 #include <cpuid.h>
 
@@ -117,23 +103,4 @@ EXPORT int64_t mrpnn_march(int64_t variant, const Scene *scene, const Rays *rays
         unsigned mode = without_subnormals();                           \
         return restored(mode, CHOOSE(variant, function, data));         \
     }
-PREPARE(sweep_columns, const ColumnSweep)
-PREPARE(sweep_blocks, const BlockSweep)
-PREPARE(sample_open_depths, const OpenDepthSamples)
-PREPARE(sweep_ordinates, const OrdinateSweep)
-PREPARE(sweep_radiance, const RadianceSweep)
-PREPARE(sweep_moments, const MomentSweep)
-PREPARE(follow_peak, const PeakPhotons)
-PREPARE(trace_paths, const LightPaths)
-PREPARE(conjugate_gradients, Diffusion)
-PREPARE(mean_cells, const CellMeans)
-PREPARE(halve, const Halving)
-PREPARE(fill_lattice, const LatticePart)
-PREPARE(resample, const Resampling)
-PREPARE(fill_lamp_columns, const LampSlices)
-PREPARE(lamp_depths, const LampDepths)
-PREPARE(lamp_beam, const LampBeam)
-PREPARE(lamp_fluence, const LampFluence)
-PREPARE(scatter_nearby, const NearbyLight)
-PREPARE(gather_light, const LightGather)
-PREPARE(multiply, const MatrixProduct)
+MRPNN_FUNCTIONS(PREPARE)

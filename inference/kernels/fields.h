@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Data of the kernels that prepare what rays and networks read; field_structures.py holds the same structures.
+/* Data of the kernels that prepare what rays and networks read.
 
 As in kernels.h. Arrays of three dimensions are in C order, unless their strides, in elements, are given. */
 
@@ -243,6 +243,17 @@ typedef struct {
     int32_t *cells;              /* (columns of a row), scratch */
 } LampSlices;
 
+/* Optical depths from points towards a sun: SunOpticalDepth. */
+typedef struct {
+    Grid density;
+    SunColumns columns;
+    double sigma_t;
+    int64_t outside;             /* whether points may lie outside the support */
+    int64_t points;
+    const float *index;          /* (3, points), continuous indices */
+    float *out;                  /* (points) */
+} SunDepths;
+
 /* Optical depths from points towards a lamp: LampOpticalDepth. */
 typedef struct {
     const LampColumns *columns;
@@ -329,5 +340,29 @@ typedef struct {
     const float *right;          /* (panels, inner, MRPNN_PANEL), 0 beyond `columns` */
     float *out;                  /* (rows, columns) */
 } MatrixProduct;
+
+/* Functions of the library that take one structure, which X is told with its type. */
+#define MRPNN_FUNCTIONS(X) \
+    X(sweep_columns, const ColumnSweep) \
+    X(sweep_blocks, const BlockSweep) \
+    X(sample_open_depths, const OpenDepthSamples) \
+    X(sweep_ordinates, const OrdinateSweep) \
+    X(sweep_radiance, const RadianceSweep) \
+    X(sweep_moments, const MomentSweep) \
+    X(follow_peak, const PeakPhotons) \
+    X(trace_paths, const LightPaths) \
+    X(conjugate_gradients, Diffusion) \
+    X(mean_cells, const CellMeans) \
+    X(halve, const Halving) \
+    X(fill_lattice, const LatticePart) \
+    X(resample, const Resampling) \
+    X(fill_lamp_columns, const LampSlices) \
+    X(sun_depths, const SunDepths) \
+    X(lamp_depths, const LampDepths) \
+    X(lamp_beam, const LampBeam) \
+    X(lamp_fluence, const LampFluence) \
+    X(scatter_nearby, const NearbyLight) \
+    X(gather_light, const LightGather) \
+    X(multiply, const MatrixProduct)
 
 #endif

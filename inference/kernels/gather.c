@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light that points receive along rays around the camera ray; the twin is features/final_gather.py. */
+/* Light that points receive along rays around the camera ray. */
 
 #include "exponential.h"
 #include "fields.h"

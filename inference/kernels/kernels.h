@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Data that Python hands to the compiled kernels; inference/kernels/structures.py holds the same structures.
+/* Data that Python hands to the compiled kernels; inference/kernels/structures.py reads it from here.
 
 Every number is 8 bytes wide or an array of 8-byte numbers, so that no compiler pads. Pointers are to C-contiguous
 arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes hold is not. */
@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 20
+#define MRPNN_INTERFACE 21
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -51,6 +51,8 @@ typedef struct {
     int64_t integrated;      /* slices that are integrated; 0: none */
     int64_t everywhere;      /* whether every point is integrated, not only those that the camera and the sun see */
     int64_t steep;           /* whether integrals are split at planes of voxel centres */
+    double visible;          /* sum of the optical depths to the camera and the sun up to which points are seen */
+    double deepest;          /* optical depth beyond which nothing is integrated */
     double move[3];          /* from one slice to the next, in indices */
     double length;           /* of that displacement in world units */
     double direction[3];     /* d(index)/d(world unit) */
@@ -179,13 +181,14 @@ typedef struct {
     const double *node_weights;
     int64_t depth_samples, most_detail, adaptive, coarse_count;
     int64_t skip_empty;
+    int64_t at_start;                /* whether each ray has one depth sample, where it begins */
     double step_thickness;           /* optical thickness that steps may have where a ray begins, */
     double step_growth;              /* and the optical depth over which that grows by e; */
     double peak_thickness;           /* the same of steps as dense as the densest place near, which are not cut below */
     double peak_growth, finest;      /* a part of a coarse step */
     double behind, behind_emission;  /* optical depths up to which rays are marched */
     double min_alpha;
-    double dark, visible, max_sun_depth;
+    double dark;
     double max_tau_sun, max_tau_ahead;
     double scales[3];
     double jitter[3];

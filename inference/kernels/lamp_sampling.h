@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light of lamps at points; the twins are LampOpticalDepth, LampShadowMap and scene/emitters.py. */
+/* Light of lamps at points. */
 
 #ifndef MRPNN_LAMP_SAMPLING_H
 #define MRPNN_LAMP_SAMPLING_H

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Optical depths around lamps, and their light in cells; the twins are grids/lamp_optical_depth.py and
-transport/lamp_beam.py. */
+/* Optical depths around lamps, and their light in cells. */
 
 #include <string.h>
 

@@ -9,12 +9,10 @@ import os
 import threading
 from ctypes import POINTER, c_int64
 from pathlib import Path
+from typing import Any
 
-from . import build, field_structures, structures
-from .structures import INTERFACE
-
-#: Environment variable that leaves the work to numpy where it is 0.
-SWITCH = "MRPNN_COMPILED"
+from ..scene.errors import SceneError
+from . import build, structures
 
 #: Kinds of processors, in the order of dispatch.c.
 VARIANTS = ("baseline", "AVX2", "AVX-512")
@@ -24,26 +22,33 @@ PACKAGE = "mrpnn_kernels"
 
 _loading = threading.Lock()
 #: What `load_kernels` found: the kernels, or why there are none.
-_kernels: tuple["Kernels | None", str] | None = None
+_kernels: "Kernels | Unavailable | None" = None
 
 
-class Unavailable(Exception):
-    """The compiled kernels cannot be used; says why."""
+class Unavailable(SceneError):
+    """The compiled kernels cannot be used; says why, and what to do."""
+
+    def __init__(self, reason: str):
+        super().__init__(f"the compiled part of the renderer cannot be used: {reason}")
 
 
 class Kernels:
-    """The functions of one library, in one of its variants. Raises Unavailable.
+    """The functions of one library. Raises Unavailable.
 
-    variant: 0 for any processor, 1 with AVX2, 2 with AVX-512; None for the fastest that this processor can run.
+    variant: 0 for any processor, 1 with AVX2, 2 with AVX-512; at first the fastest that this processor can run.
     """
 
-    def __init__(self, path: os.PathLike, variant: int | None = None):
+    def __init__(self, path: os.PathLike):
         self.path = Path(path)
         self._library: ctypes.CDLL | None = None
         #: Variants that this processor can run: 0 to the best one.
         self.best = int(self._loaded().mrpnn_best_variant())
-        self.variant = self.best if variant is None else min(variant, self.best)
-        self.name = VARIANTS[self.variant]
+        self.variant = self.best
+
+    @property
+    def name(self) -> str:
+        """Of the kind of processors."""
+        return VARIANTS[self.variant]
 
     def close(self) -> None:
         """Give the file back, which Windows keeps from being replaced while it is loaded; a later call loads it again.
@@ -62,15 +67,17 @@ class Kernels:
                 number = library.mrpnn_interface()
             except (OSError, AttributeError) as error:
                 raise Unavailable(f"{self.path} cannot be loaded: {error}") from error
-            if number != INTERFACE:
+            if number != structures.INTERFACE:
                 _close(library)
-                raise Unavailable(f"{self.path} has interface {number} instead of {INTERFACE}. {_remedy(number)}")
+                raise Unavailable(
+                    f"{self.path} has interface {number} instead of {structures.INTERFACE}. {_remedy(number)}"
+                )
             march = (POINTER(structures.Scene), POINTER(structures.Rays), POINTER(structures.Gathered))
             declared: dict[str, tuple] = {
                 "best_variant": (),
                 "scratch_bytes": (POINTER(structures.Scene), c_int64),
                 "march": (c_int64, *march),
-                **{name: (c_int64, POINTER(data)) for name, data in field_structures.FUNCTIONS.items()},
+                **{name: (c_int64, POINTER(data)) for name, data in structures.FUNCTIONS.items()},
             }
             for name, arguments in declared.items():
                 function = getattr(library, f"mrpnn_{name}")
@@ -78,16 +85,16 @@ class Kernels:
             self._library = library
         return self._library
 
-    def scratch_bytes(self, scene: structures.Scene, max_count: int) -> int:
+    def scratch_bytes(self, scene: structures.Shared, max_count: int) -> int:
         """Bytes of scratch memory that rays of at most `max_count` steps take."""
         return self._loaded().mrpnn_scratch_bytes(scene, max_count)
 
-    def march(self, scene: structures.Scene, rays: structures.Rays, gathered: structures.Gathered) -> int:
+    def march(self, scene: structures.Shared, rays: structures.Shared, gathered: structures.Shared) -> int:
         """March rays without Python's lock; returns how many of them, fewer than asked for if they were to stop."""
         return self._loaded().mrpnn_march(self.variant, scene, rays, gathered)
 
-    def prepare(self, name: str, data: structures.Shared) -> int:
-        """Call one of `field_structures.FUNCTIONS`, without Python's lock; its result."""
+    def call(self, name: str, data: structures.Shared) -> int:
+        """Call one of `structures.FUNCTIONS`, without Python's lock; its result."""
         return getattr(self._loaded(), f"mrpnn_{name}")(self.variant, data)
 
 
@@ -103,22 +110,33 @@ def load_kernels() -> Kernels:
     global _kernels
     with _loading:
         if _kernels is None:
-            try:
-                _kernels = Kernels(_find()), ""
-            except (Unavailable, build.BuildError, OSError) as error:
-                _kernels = None, str(error)
-        kernels, reason = _kernels
-    if kernels is None:
-        raise Unavailable(reason)
-    return kernels
+            _kernels = _load()
+        found = _kernels
+    if isinstance(found, Unavailable):
+        raise found
+    return found
+
+
+def call(name: str, **fields: Any) -> int:
+    """Call one of `structures.FUNCTIONS` with the fields of its structure; its result. Raises Unavailable."""
+    return load_kernels().call(name, structures.FUNCTIONS[name](**fields))
+
+
+def _load() -> Kernels | Unavailable:
+    try:
+        return Kernels(_find())
+    except Unavailable as error:
+        return error
+    except (build.BuildError, OSError) as error:
+        return Unavailable(str(error))
 
 
 def unload_kernels() -> None:
     """Close what `load_kernels` loaded, which looks for the library again when it is called. No call may be running."""
     global _kernels
     with _loading:
-        if _kernels is not None and _kernels[0] is not None:
-            _kernels[0].close()
+        if isinstance(_kernels, Kernels):
+            _kernels.close()
         _kernels = None
 
 
@@ -127,8 +145,6 @@ def _find() -> Path:
     BuildError and OSError.
     """
     platform = build.this_platform()
-    if platform is None:
-        raise Unavailable("there is none for this kind of computer")
     beside, packed = build.SOURCES / build.TARGETS[platform].library, packaged_library(platform)
     if beside.exists():
         return beside
@@ -161,15 +177,10 @@ def _remedy(number: int) -> str:
     if build.sources():
         return "Run python -m inference.kernels"
     # All extensions share one folder of packages, where the highest version wins.
-    if number > INTERFACE:
+    if number > structures.INTERFACE:
         version = importlib.metadata.version(PACKAGE)
         return (
             f"A newer MRPNN Volumes in another repository brought {PACKAGE} {version}: remove one of the two in "
             "Preferences > Get Extensions, and restart Blender"
         )
     return f"It is of an older MRPNN Volumes: restart Blender. If that does not help: {_REINSTALL}"
-
-
-def wanted(compiled: bool) -> bool:
-    """Whether compiled kernels are to be used; compiled: of the settings, which the environment overrules."""
-    return compiled and os.environ.get(SWITCH, "1") != "0"

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Camera rays through volumes, one after another; the twins are marching/ray_march.py and marching/emission.py.
+/* Camera rays through volumes, one after another; tests/reference/march.py does the same in numpy.
 
 Compiled once for each kind of processor, with the name of the kind as VARIANT. A ray is cut into steps, which come in
 blocks of equal steps; blocks that hold no density are passed over, dense ones are cut into smaller ones. What remains of
@@ -279,7 +279,8 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
                 held |= *near == 1;
             }
             int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
-            if (nearby.near && held) {
+            /* A ray whose features are wanted where it begins has a block there. */
+            if ((nearby.near && held) || (scene->at_start && from == 0.0)) {
                 coming->place[count] = from;
                 coming->peak[count] = nearby.peak;
                 coming->before[count] = passed;
@@ -348,7 +349,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         } else {
             uint8_t *around = work->near + AHEAD * scene->volumes;
             Nearby nearby = look_around(scene, work, place, step, around);
-            near = nearby.near, peak = nearby.peak;
+            near = nearby.near || (scene->at_start && place == 0.0), peak = nearby.peak;
             sample_media(scene, ray, place, step, around, at, work);
         }
         work->looked_at += near;
@@ -376,7 +377,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         float gained = work->within[at + STEPS - 1];
         reached += (double)gained;
         gap = tau[STEPS - 1] > 0.0f ? 0.0 : step;
-        if (near && (keep_empty || gained > 0.0f)) keep_block(scene, ray, place, step, at, work);
+        if (near && (keep_empty || gained > 0.0f || (scene->at_start && place == 0.0))) keep_block(scene, ray, place, step, at, work);
         place += STEPS * step;
     }
 }
@@ -470,7 +471,7 @@ l: number of the sun. columns: (volumes), around a part of a lamp, or NULL for t
 static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
     int64_t room = work->stride, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
-    int one = scene->groups == 1;
+    int one = scene->groups == 1, outside = scene->volumes > 1 || scene->at_start;
     for (int64_t s = 0; s < steps && !one; s++) work->whole_start[s] = work->whole_end[s] = dark;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->start[g * room + s] = work->end[g * room + s] = dark;
@@ -496,8 +497,10 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                     if (medium->sigma_t > 0.0) sum += lamp_depth(columns[v], position, (float)medium->sigma_t);
                     continue;
                 }
-                sum += scene->volumes > 1 ? sun_depth_outside(scene, medium, medium->suns + l, position, depth)
-                                          : sun_depth(scene, medium, medium->suns + l, position, depth);
+                const SunColumns *sun = medium->suns + l;
+                float extinction = (float)medium->sigma_t;
+                sum += outside ? sun_depth_outside(&medium->density, sun, extinction, position, depth)
+                               : sun_depth(&medium->density, sun, extinction, position, depth);
             }
             store_at_edges(work, e, used, sum, work->start + g * room, work->end + g * room);
             whole += sum;
@@ -619,10 +622,26 @@ static int64_t sample_count(const Scene *scene, double alpha) {
     return count < fewest ? fewest : count > most ? most : count;
 }
 
+/* Take a place in a step as a depth sample. */
+static void add_sample(const Scene *scene, const Ray *ray, int64_t s, double inside, int64_t n, Work *work, Gathered *out) {
+    int64_t sample = out->samples + n;
+    work->sample_step[n] = s;
+    work->sample_inside[n] = (float)inside;
+    out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
+    float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * work->stride + s] / total;
+    }
+    for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
+        const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
+        out->sample_scattering[sample * scene->volumes * scene->scattering + i] = scattering[s] / total;
+    }
+}
+
 /* A depth sample where a part of the ray's opacity is in front of it, behind those before. */
 static void place_sample(const Scene *scene, const Ray *ray, double opacity, int64_t n, Work *work, Gathered *out) {
     double wanted = -log1p(-(opacity < 1.0 - 1e-12 ? opacity : 1.0 - 1e-12));
-    int64_t sample = out->samples + n, steps = work->stride, block = n ? work->sample_step[n - 1] / STEPS : 0;
+    int64_t block = n ? work->sample_step[n - 1] / STEPS : 0;
     while (block + 1 < work->blocks && work->before[block + 1] <= wanted) block++;
     wanted -= work->before[block];
     const float *within_block = work->within + STEPS * block, *tau = work->tau + STEPS * block;
@@ -635,23 +654,17 @@ static void place_sample(const Scene *scene, const Ray *ray, double opacity, int
     float thickness = tau[step];
     double inside = (wanted - (double)(within_block[step] - thickness)) / (thickness > 1e-30f ? thickness : 1e-30f);
     inside = inside > 0.0 ? (inside < 1.0 ? inside : 1.0) : 0.0;
-    int64_t s = STEPS * block + step;
-    work->sample_step[n] = s;
-    work->sample_inside[n] = (float)inside;
-    out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
-    float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
-    for (int64_t v = 0; v < scene->volumes; v++) {
-        out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * steps + s] / total;
-    }
-    for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
-        const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
-        out->sample_scattering[sample * scene->volumes * scene->scattering + i] = scattering[s] / total;
-    }
+    add_sample(scene, ray, STEPS * block + step, inside, n, work, out);
 }
 
 /* Depth samples at the Gauss-Legendre nodes of the ray's opacity, and in the middles of `detail` parts of each node's
 share but for the one that holds it; returns their number. */
 static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, int64_t detail, Work *work, Gathered *out) {
+    if (scene->at_start) {
+        out->sample_weight[out->samples] = alpha;
+        add_sample(scene, ray, 0, 0.0, 0, work, out);
+        return 1;
+    }
     int64_t count = work->blocks ? sample_count(scene, alpha) : 0;
     const double *nodes = scene->nodes + count * scene->depth_samples;
     const double *weights = scene->node_weights + count * scene->depth_samples;
@@ -1271,6 +1284,8 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     }
     fill_blocks(scene, &ray, scene->behind, 0, work);
     out->blocks += work->looked_at;
+    /* What is looked up where there is density, is at the start anyway. */
+    if (scene->at_start && !(work->total[0] > 0.0f)) work->total[0] = 1e-30f;
     sample_scattering(scene, &ray, work);
 
     double reached = 0.0, alpha = -expm1(-work->before[work->blocks]);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light that lamps nearby scatter towards the camera: inference/network/lamp_nearby.py explains it and is its twin. */
+/* Light that lamps nearby scatter towards the camera: inference/network/lamp_nearby.py explains it. */
 
 #include <math.h>
 

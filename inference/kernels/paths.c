@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light paths traced from camera rays until they leave all volumes: inference/marching/light_paths.py explains them and
-is their twin. */
+/* Light paths traced from camera rays until they leave all volumes: inference/marching/light_paths.py explains
+them. */
 
 #include <math.h>
 

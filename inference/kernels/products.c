@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Products of matrices, as networks take them: inference/onnx/products.py packs the right one and is their twin. */
+/* Products of matrices, as networks take them: inference/onnx/products.py packs the right one. */
 
 #include "fields.h"
 #include "variants.h"

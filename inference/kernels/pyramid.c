@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* The density pyramid and the lattices made of it; the twins are grids/working_cube.py, features/mip_lattices.py and
-grids/merge.py. */
+/* The density pyramid and the lattices made of it. */
 
 #include <math.h>
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Random numbers and directions of paths and photons; inference/numerics/random_walk.py is their twin. */
+/* Random numbers and directions of paths and photons. */
 
 #ifndef MRPNN_RANDOM_H
 #define MRPNN_RANDOM_H

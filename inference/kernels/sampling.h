@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Samples of grids and of optical depths towards suns, eight at a time; the twins are DenseGrid, SparseGrid and
-SunOpticalDepth. */
+/* Samples of grids and of optical depths towards suns, eight at a time. */
 
 #ifndef MRPNN_SAMPLING_H
 #define MRPNN_SAMPLING_H
@@ -246,7 +245,8 @@ static inline Floats integral_to_slice(const Grid *grid, const SunColumns *sun, 
 
 /* Depths that integrate the first slices and take the columns from there on, where `wanted`. */
 static inline Floats integrated_depth(const Grid *grid, const SunColumns *sun, const Floats *place, Floats way,
-                                      Ints following, float extinction, float max_depth, Ints wanted) {
+                                      Ints following, float extinction, Ints wanted) {
+    float deepest = (float)sun->deepest;
     Floats depth = in_all(0.0f), start[3] = {place[0], place[1], place[2]};
     for (int64_t k = 0; k < sun->integrated; k++) {
         Floats gained = integral_to_slice(grid, sun, start, way) * extinction;
@@ -258,7 +258,7 @@ static inline Floats integrated_depth(const Grid *grid, const SunColumns *sun, c
             /* A ray that starts on a face by which the sun's rays enter has not left the grid. */
             past |= move > 0.0f ? start[axis] >= (float)(grid->shape[axis] + 1) : start[axis] <= 0.0f;
         }
-        wanted &= ~past & (depth < max_depth);
+        wanted &= ~past & (depth < deepest);
         if (!any_lane(wanted)) return depth;
         way = in_all(1.0f);
     }
@@ -269,9 +269,9 @@ static inline Floats integrated_depth(const Grid *grid, const SunColumns *sun, c
 /* Optical depths towards the sun at continuous indices.
 
 camera_depth: optical depth between the points and the camera. */
-static inline Floats sun_depth(const Scene *scene, const Medium *medium, const SunColumns *sun, const Floats *position,
+static inline Floats sun_depth(const Grid *density, const SunColumns *sun, float extinction, const Floats *position,
                                Floats camera_depth) {
-    float extinction = (float)medium->sigma_t;
+    float deepest = (float)sun->deepest;
     Floats place[3] = {position[0] + 1.0f, position[1] + 1.0f, position[2] + 1.0f}, depth;
     Floats along = clamped_to(place[sun->main], in_all(-FAR_AWAY), in_all(FAR_AWAY));
     Ints below = floors(along), following = below + (sun->step > 0), wanted;
@@ -280,19 +280,18 @@ static inline Floats sun_depth(const Scene *scene, const Medium *medium, const S
         Floats after = depth_on_slice(sun, place, ahead, following);
         Floats before = depth_on_slice(sun, place, ahead - 1.0f, following - (int32_t)sun->step);
         depth = lerp_lanes(after, before, ahead) * extinction;
-        wanted = (depth > 0.0f) & (depth + camera_depth < (float)scene->visible);
+        wanted = (depth > 0.0f) & (depth + camera_depth < (float)sun->visible);
     } else {
         int32_t last = (int32_t)sun->integrated - 1;
         depth = lowest_on_slice(sun, place, ahead + (float)last, following + (int32_t)sun->step * last) * extinction;
-        wanted = depth < (float)scene->max_sun_depth;
+        wanted = depth < deepest;
     }
     if (!sun->integrated || !any_lane(wanted)) return depth;
-    return choose(wanted, integrated_depth(&medium->density, sun, place, ahead, following, extinction,
-                                           (float)scene->max_sun_depth, wanted), depth);
+    return choose(wanted, integrated_depth(density, sun, place, ahead, following, extinction, wanted), depth);
 }
 
 /* As sun_depth, for points that may lie outside the support: moved towards the sun onto it, 0 where the ray misses. */
-static inline Floats sun_depth_outside(const Scene *scene, const Medium *medium, const SunColumns *sun,
+static inline Floats sun_depth_outside(const Grid *density, const SunColumns *sun, float extinction,
                                        const Floats *position, Floats camera_depth) {
     Floats moved[3];
     Ints met;
@@ -300,7 +299,7 @@ static inline Floats sun_depth_outside(const Scene *scene, const Medium *medium,
         double near = 0.0, far = INFINITY;
         for (int axis = 0; axis < 3; axis++) {
             double at = position[axis][n], inverse = 1.0 / sun->direction[axis];
-            double a = (-1.0 - at) * inverse, b = (medium->density.shape[axis] - at) * inverse;
+            double a = (-1.0 - at) * inverse, b = ((double)density->shape[axis] - at) * inverse;
             /* A ray within the plane of a face divides 0 by 0; that axis does not bound it. */
             if (a != a || b != b) continue;
             near = a < b ? (a > near ? a : near) : (b > near ? b : near);
@@ -309,7 +308,7 @@ static inline Floats sun_depth_outside(const Scene *scene, const Medium *medium,
         met[n] = far > near ? -1 : 0;
         for (int axis = 0; axis < 3; axis++) moved[axis][n] = (float)(position[axis][n] + near * sun->direction[axis]);
     }
-    return choose(met, sun_depth(scene, medium, sun, moved, camera_depth), in_all(0.0f));
+    return choose(met, sun_depth(density, sun, extinction, moved, camera_depth), in_all(0.0f));
 }
 
 /* Visibility of a sun from 0 to 1 by percentage-closer filtering; position: column, row, height. */

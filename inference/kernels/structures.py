@@ -1,26 +1,30 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The structures of kernels.h."""
+"""The structures of the kernels' headers, as classes of ctypes.
+
+They are read from the headers when this module is imported: `structures.Grid`, with the fields of its declaration.
+"""
 
 import ctypes
 import functools
+import re
 from collections.abc import Sequence
 from ctypes import c_double, c_int64, c_void_p
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-INTERFACE = 20
-CHANNELS = 3
-PHASES = 8192
 
 
 class Shared(ctypes.Structure):
     """A structure that keeps alive what its pointers point to."""
 
     def __init__(self, **fields: Any):
-        """Arrays become pointers or, where the structure holds their numbers itself, copies; tuples become pointers."""
+        """Arrays become pointers or, where the structure holds their numbers itself, copies; tuples become pointers.
+
+        Pointers to arrays that are not C-contiguous are given as addresses.
+        """
         super().__init__()
-        self.kept: list[Any] = []
+        self.fields, self.kept = fields, list[Any]()
         types = _types(type(self))
         for name, value in fields.items():
             if types[name] is c_void_p:
@@ -37,8 +41,8 @@ class Shared(ctypes.Structure):
             setattr(self, name, value)
 
     def _pointer(self, value: Any) -> int | None:
-        if value is None:
-            return None
+        if value is None or isinstance(value, int):
+            return value
         self.kept.append(value)
         if isinstance(value, np.ndarray):
             assert value.flags.c_contiguous
@@ -50,251 +54,6 @@ class Shared(ctypes.Structure):
 def _types(structure: type[Shared]) -> dict[str, Any]:
     """Types of a structure's fields, by name."""
     return {field[0]: field[1] for field in structure._fields_}
-
-
-class Grid(Shared):
-    """See kernels.h, as for the others."""
-
-    _fields_ = [
-        ("values", c_void_p),
-        ("table", c_void_p),
-        ("size", c_int64 * 3),
-        ("shape", c_int64 * 3),
-        ("first", c_int64 * 3),
-        ("rows", c_int64),
-    ]
-
-
-class Occupancy(Shared):
-    _fields_ = [
-        ("clearance", c_void_p),
-        ("peaks", c_void_p),
-        ("size", c_int64 * 3),
-        ("first", c_double * 3),
-        ("scale", c_double),
-    ]
-
-
-class SunColumns(Shared):
-    _fields_ = [
-        ("depths", c_void_p),
-        ("table", c_void_p),
-        ("offsets", c_void_p),
-        ("slices", c_int64),
-        ("size", c_int64 * 2),
-        ("tiles", c_int64),
-        ("first", c_int64),
-        ("main", c_int64),
-        ("others", c_int64 * 2),
-        ("step", c_int64),
-        ("integrated", c_int64),
-        ("everywhere", c_int64),
-        ("steep", c_int64),
-        ("move", c_double * 3),
-        ("length", c_double),
-        ("direction", c_double * 3),
-    ]
-
-
-class Medium(Shared):
-    _fields_ = [
-        ("density", Grid),
-        ("held", c_void_p),
-        ("occupancy", Occupancy),
-        ("suns", c_void_p),
-        ("phase", c_void_p),
-        ("linear", c_double * 9),
-        ("offset", c_double * 3),
-        ("sigma_t", c_double),
-        ("emission", Grid * CHANNELS),
-        ("emission_power", c_int64),
-        ("emission_factor", c_double),
-        ("varies", c_int64),
-        ("scattering", Grid * CHANNELS),
-    ]
-
-
-class Pyramid(Shared):
-    _fields_ = [
-        ("depths", c_void_p),
-        ("starts", c_void_p),
-        ("slices", c_int64),
-        ("size", c_int64 * 2),
-        ("first", c_double * 2),
-        ("spacing", c_double * 2),
-    ]
-
-
-class LampColumns(Shared):
-    _fields_ = [
-        ("density", Grid),
-        ("pyramids", Pyramid * 6),
-        ("lamp", c_double * 3),
-        ("world_from_index", c_double * 9),
-        ("integrated", c_int64),
-        ("centre", c_double * 3),
-        ("radius", c_double),
-        ("offset", c_double * 3),
-        ("soft_falloff", c_int64),
-        ("around", c_double),
-        ("uneven", c_int64),
-        ("excess", c_void_p),
-    ]
-
-
-class LampShadowMap(Shared):
-    _fields_ = [
-        ("distances", c_void_p),
-        ("cells", c_int64),
-        ("position", c_double * 3),
-        ("frames", c_double * 54),
-    ]
-
-
-class Emitter(Shared):
-    _fields_ = [
-        ("flat", c_int64),
-        ("position", c_double * 3),
-        ("extent", c_double),
-        ("centre", c_double * 3),
-        ("radius", c_double),
-        ("intensity", c_double),
-        ("closest", c_double),
-        ("soft_falloff", c_int64),
-        ("cone", c_int64),
-        ("axis", c_double * 3),
-        ("cosine", c_double),
-        ("width", c_double),
-        ("corners", c_double * 12),
-        ("normal", c_double * 3),
-        ("radiance", c_double),
-        ("area", c_double),
-        ("nodes", c_double * 12),
-        ("areas", c_double * 4),
-        ("far", c_double),
-        ("tangent", c_double),
-        ("focus", c_double),
-        ("focused", c_double),
-    ]
-
-
-class Lamp(Shared):
-    _fields_ = [
-        ("emitters", c_int64),
-        ("parts", c_void_p),
-        ("columns", c_void_p),
-        ("shadow_maps", c_void_p),
-        ("centre", c_double * 3),
-        ("reach", c_double),
-        ("smooth", c_double),
-        ("mean", c_void_p),
-        ("mean_from", c_double),
-    ]
-
-
-class ShadowMap(Shared):
-    _fields_ = [
-        ("heights", c_void_p),
-        ("rows", c_int64),
-        ("columns", c_int64),
-        ("linear", c_double * 9),
-        ("offset", c_double * 3),
-    ]
-
-
-class Fluence(Shared):
-    _fields_ = [
-        ("lights", c_void_p),
-        ("scales", c_void_p),
-        ("cells", c_int64),
-        ("linear", c_double * 9),
-        ("offset", c_double * 3),
-        ("flux_from_world", c_double * 9),
-        ("reduced_fraction", c_double),
-    ]
-
-
-class Scene(Shared):
-    _fields_ = [
-        ("volumes", c_int64),
-        ("suns", c_int64),
-        ("groups", c_int64),
-        ("channels", c_int64),
-        ("varying", c_int64),
-        ("scattering", c_int64),
-        ("media", c_void_p),
-        ("group_starts", c_void_p),
-        ("group_members", c_void_p),
-        ("shadow_maps", c_void_p),
-        ("fluence", c_void_p),
-        ("lamps", c_int64),
-        ("lamp_list", c_void_p),
-        ("lamp_fluence", c_void_p),
-        ("lamp_radius", c_double),
-        ("brief", c_double),
-        ("wide", c_double),
-        ("wide_count", c_int64),
-        ("wide_nodes", c_void_p),
-        ("wide_weights", c_void_p),
-        ("nodes", c_void_p),
-        ("node_weights", c_void_p),
-        ("depth_samples", c_int64),
-        ("most_detail", c_int64),
-        ("adaptive", c_int64),
-        ("coarse_count", c_int64),
-        ("skip_empty", c_int64),
-        ("step_thickness", c_double),
-        ("step_growth", c_double),
-        ("peak_thickness", c_double),
-        ("peak_growth", c_double),
-        ("finest", c_double),
-        ("behind", c_double),
-        ("behind_emission", c_double),
-        ("min_alpha", c_double),
-        ("dark", c_double),
-        ("visible", c_double),
-        ("max_sun_depth", c_double),
-        ("max_tau_sun", c_double),
-        ("max_tau_ahead", c_double),
-        ("scales", c_double * 3),
-        ("jitter", c_double * 3),
-    ]
-
-
-class Rays(Shared):
-    _fields_ = [
-        ("rays", c_int64),
-        ("origins", c_void_p),
-        ("directions", c_void_p),
-        ("near_distance", c_void_p),
-        ("far_distance", c_void_p),
-        ("counts", c_void_p),
-        ("detail", c_void_p),
-        ("max_count", c_int64),
-        ("stop", c_void_p),
-        ("scratch", c_void_p),
-    ]
-
-
-class Gathered(Shared):
-    _fields_ = [
-        ("alpha", c_void_p),
-        ("depth", c_void_p),
-        ("optical_depth", c_void_p),
-        ("single_scattering", c_void_p),
-        ("lamp_scattering", c_void_p),
-        ("scattering_depth", c_void_p),
-        ("emission", c_void_p),
-        ("sample_counts", c_void_p),
-        ("sample_distance", c_void_p),
-        ("sample_weight", c_void_p),
-        ("sample_fraction", c_void_p),
-        ("sample_scattering", c_void_p),
-        ("sample_features", c_void_p),
-        ("lamp_features", c_void_p),
-        ("samples", c_int64),
-        ("blocks", c_int64),
-    ]
 
 
 def array_of(values: list) -> ctypes.Array | None:
@@ -312,3 +71,42 @@ def pointers_to(values: Sequence[Shared | None]) -> ctypes.Array:
     array: Any = (c_void_p * len(values))(*(None if value is None else ctypes.addressof(value) for value in values))
     array.kept = values
     return array
+
+
+def _read(*headers: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Structures and whole-number constants of some headers, and the structure that each function takes, by name."""
+    found: dict[str, Any] = {}
+    texts = [(Path(__file__).parent / header).read_text() for header in headers]
+    text = re.sub(r"/\*.*?\*/|\\\n", "", "".join(texts), flags=re.DOTALL)
+    for name, number, body, structure in re.findall(
+        r"#define MRPNN_(\w+) (\d+)$|typedef struct {([^}]*)} (\w+);", text, flags=re.MULTILINE
+    ):
+        if structure:
+            fields = [field for line in body.split(";")[:-1] for field in _fields(line, found)]
+            found[structure] = type(structure, (Shared,), {"_fields_": fields})
+        else:
+            found[name] = int(number)
+    return found, {name: found[structure] for name, structure in re.findall(r" X\((\w+), (?:const )?(\w+)\)", text)}
+
+
+def _fields(line: str, known: dict[str, Any]) -> list[tuple[str, Any]]:
+    """Fields of one line of declarations, such as `const double *nodes, areas[4]`; known: structures and constants."""
+    kind, declared = re.match(r"\s*((?:\w+ )*\w+) (.*)", line, flags=re.DOTALL).groups()  # type: ignore[union-attr]
+    fields = []
+    for declaration in declared.split(","):
+        pointer, name, size = re.match(r"\s*([*\w ]*[* ])?(\w+)(?:\[(\w+)\])?", declaration).groups()  # type: ignore[union-attr]
+        kinds = {"double": c_double, "int64_t": c_int64, **known}
+        field = c_void_p if pointer else kinds[kind.split()[-1]]
+        count = known.get(size.removeprefix("MRPNN_")) if size and size.startswith("MRPNN_") else size
+        fields.append((name, field * int(count) if count else field))
+    return fields
+
+
+_FOUND, FUNCTIONS = _read("kernels.h", "fields.h")
+
+
+def __getattr__(name: str) -> Any:
+    """A structure, or a constant without its prefix."""
+    if name in _FOUND:
+        return _FOUND[name]
+    raise AttributeError(f"the kernels' headers have no {name}")

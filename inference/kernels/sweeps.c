@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light swept through coarse cells, and its diffusion; the twins are those of transport/. */
+/* Light swept through coarse cells, and its diffusion. */
 
 #include <string.h>
 

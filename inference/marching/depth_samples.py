@@ -36,18 +36,8 @@ def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
-def sample_counts(alpha: np.ndarray, most: int, adaptive: bool = True) -> np.ndarray:
-    """Number of depths int (R,) of rays of opacity alpha (R,): `most`, or fewer for faint rays if `adaptive`."""
-    if not adaptive:
-        return np.where(alpha > 0.0, most, 0)
-    counts = np.ceil(most * np.sqrt(alpha)).astype(int)
-    counts = np.where(counts > COARSE_COUNT, -(-counts // COARSE_COUNT) * COARSE_COUNT, counts)
-    # The error cannot be estimated from a single sample.
-    return np.where(alpha > MIN_ALPHA, np.clip(counts, min(2, most), most), 0)
-
-
 def possible_counts(most: int) -> list[int]:
-    """Every number of depths above 0 that `sample_counts` may give, for at most `most`."""
+    """Every number of depths above 0 that a ray may have, of `most` for an opaque one."""
     return [*range(1, min(most, COARSE_COUNT + 1)), *range(2 * COARSE_COUNT, most, COARSE_COUNT), most]
 
 
@@ -68,44 +58,6 @@ def divided(quadrature: tuple[np.ndarray, np.ndarray], detail: int) -> tuple[np.
     holds = ((parts == 0) | (nodes[:, None] >= low)) & ((parts + 1 == detail) | (nodes[:, None] < low + part))
     found = np.where(holds, nodes[:, None], low + 0.5 * part)
     return found.ravel(), np.repeat(part.ravel(), detail), np.flatnonzero(holds)
-
-
-def sample_opacities(
-    alpha: np.ndarray,
-    most: int,
-    adaptive: bool = True,
-    quadrature: Quadrature = gauss_legendre,
-    detail: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions of depth samples: ray int (M,), opacity between the ray's start and the sample (M,), and weight (M,).
-
-    alpha: (R,), opacity of each ray, to which the weights of its samples sum. most, adaptive: as for `sample_counts`.
-    detail: int (R,), as of RayBatch.
-    """
-    if detail is not None:
-        return _detailed_opacities(alpha, sample_counts(alpha, most, adaptive), quadrature, detail)
-    counts = sample_counts(alpha, most, adaptive)
-    ray = np.repeat(np.arange(len(alpha)), counts)
-    number = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)
-    nodes, weights = np.zeros((2, most + 1, most))
-    for count in np.unique(counts[counts > 0]):
-        nodes[count, :count], weights[count, :count] = quadrature(count)
-    count = counts[ray]
-    return ray, nodes[count, number] * alpha[ray], weights[count, number] * alpha[ray]
-
-
-def _detailed_opacities(
-    alpha: np.ndarray, counts: np.ndarray, quadrature: Quadrature, detail: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `sample_opacities`; counts: int (R,), of samples without detail."""
-    ray = np.repeat(np.arange(len(alpha)), counts * detail)
-    starts, (opacity, weight) = np.cumsum(counts * detail) - counts * detail, np.zeros((2, len(ray)))
-    for count, parts in np.unique(np.stack([counts, detail], axis=1)[counts > 0], axis=0):
-        nodes, weights, _ = divided(quadrature(int(count)), int(parts))
-        rays = np.flatnonzero((counts == count) & (detail == parts))
-        samples = starts[rays, None] + np.arange(len(nodes))
-        opacity[samples], weight[samples] = alpha[rays, None] * nodes, alpha[rays, None] * weights
-    return ray, opacity, weight
 
 
 @dataclass

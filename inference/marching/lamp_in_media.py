@@ -12,8 +12,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.lamp_optical_depth import LampOpticalDepth
-from ..kernels.field_structures import LampFluence
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..kernels.structures import array_of
 from ..numerics.small_matmul import inverse
 from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
@@ -43,8 +42,8 @@ class LampInMedia:
 
     emitters: its parts. depths: of each emitter, the optical depth in each volume. coarse: the fewer parts of the
     coarse transport. shadow_maps: of each emitter, or None where no surface shadows the volumes from the lamp. key:
-    digest that is equal for lamps with the same light and shadows. kernels: compiled ones, or None.
-    surface_shadow_maps: as shadow_maps, for surfaces, which may shadow one another alone.
+    digest that is equal for lamps with the same light and shadows. surface_shadow_maps: as shadow_maps, for surfaces,
+    which may shadow one another alone.
     """
 
     lamp: Lamp
@@ -53,7 +52,6 @@ class LampInMedia:
     coarse: Sequence[Emitter]
     shadow_maps: list[LampShadowMap] | None = None
     key: bytes = b""
-    kernels: Kernels | None = None
     surface_shadow_maps: list[LampShadowMap] | None = None
 
     @property
@@ -123,11 +121,9 @@ class LampInMedia:
 
     def _light(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fluence float64 (N,) at world points (N, 3), and what it would be if each emitter faced each of them."""
-        if self.kernels is None:
-            fluence = np.sum([emitter.fluence(points) for emitter in self.emitters], axis=0)
-            return fluence, np.sum([emitter.brightest(points) for emitter in self.emitters], axis=0)
         fluence, brightest = np.empty((2, len(points)))
-        data = LampFluence(
+        call(
+            "lamp_fluence",
             points=len(points),
             positions=np.ascontiguousarray(points, np.float64),
             lamp=len(self.emitters),
@@ -135,7 +131,6 @@ class LampInMedia:
             fluence=fluence,
             brightest=brightest,
         )
-        self.kernels.prepare("lamp_fluence", data)
         return fluence, brightest
 
 
@@ -144,12 +139,8 @@ def place_lamp(
     grids: Sequence[Grid],
     surfaces: Sequence[Surface] = (),
     cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
 ) -> LampInMedia:
-    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled.
-
-    kernels: compiled ones, or None.
-    """
+    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled."""
     corners = np.concatenate([grid.corners() for grid in grids])
     emitters, maps = lamp.emitters(corners.min(axis=0), corners.max(axis=0)), None
     # The shadows of many emitters blend: each of them may be coarser.
@@ -161,15 +152,12 @@ def place_lamp(
         maps = None if all(one.empty for one in maps) else maps
     shaded = maps is not None and _may_shade(shading, emitters, grids)
     depths = [
-        [
-            LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.source, coarser, cancel, kernels)
-            for grid in grids
-        ]
+        [LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.source, coarser, cancel) for grid in grids]
         for emitter in emitters
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
     key = lamp_key(lamp, grids, surfaces)
-    return LampInMedia(lamp, emitters, depths, coarse, maps if shaded else None, key, kernels, maps)
+    return LampInMedia(lamp, emitters, depths, coarse, maps if shaded else None, key, maps)
 
 
 def _may_shade(surfaces: Sequence[Surface], emitters: Sequence[Emitter], grids: Sequence[Grid]) -> bool:

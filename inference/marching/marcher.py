@@ -1,44 +1,333 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera rays marched by the compiled kernel where there is one, by numpy otherwise."""
+"""Camera rays marched by the compiled kernel: transmittance, exact single scattering, emission and depth samples.
 
-import dataclasses
-from collections.abc import Callable, Sequence
-from ctypes import c_int32
+Within a step extinction is constant and the optical depth towards the sun linear, so that the integrals over a step are
+exact (`kernels/march.c`).
+"""
+
+import threading
+from collections.abc import Sequence
+from ctypes import addressof, c_int32, c_void_p
+
+import numpy as np
 
 from ..grids.bound_medium import BoundMedium
-from ..kernels.library import Kernels
-from .compiled_march import CompiledMarch
-from .emission import emitted_radiance
-from .lamp_march import LampMarch, march_lamps
-from .ray_march import MarchOptions, RaySegment, march
-from .ray_steps import RayBatch
+from ..grids.dense_grid import DenseGrid
+from ..grids.described import describe_grid, describe_occupancy
+from ..kernels import library, structures
+from ..numerics.quadrature import legendre_nodes
+from ..occluders.shadow_map import ShadowMap
+from ..runtime.cancellation import Cancelled
+from ..scene.description import Medium
+from ..transport.described_lamps import describe_emitter, describe_shadow_map
+from ..transport.discrete_ordinates import CELLS
+from ..transport.scattered_fluence import ScatteredFluence
+from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
+from .lamp_in_media import LampInMedia
+from .mean_lamp_depth import MeanLampDepth
+from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
+from .ray_march import (
+    BRIEF,
+    DARK,
+    JITTER,
+    MANY,
+    MAX_OPTICAL_DEPTH,
+    WIDE,
+    LampMarch,
+    LampSegment,
+    MarchOptions,
+    RaySegment,
+    optical_depth_behind,
+)
+from .ray_steps import (
+    FINEST,
+    PEAK_GROWTH,
+    PEAK_THICKNESS,
+    STEP_GROWTH,
+    STEP_THICKNESS,
+    STEPS,
+    RayBatch,
+    step_counts,
+)
 
-#: What rays gather whose intervals contain all media, with the emission of some colour channels.
-Marcher = Callable[[RayBatch], RaySegment]
 
+class Marcher:
+    """Marches rays through media, with the emission of some colour channels.
 
-def prepare_march(
-    kernels: Kernels | None,
-    media: Sequence[BoundMedium],
-    options: MarchOptions,
-    channels: Sequence[int],
-    stop: c_int32,
-    lamps: LampMarch | None = None,
-) -> Marcher:
-    """How rays are marched through media, safe to use on several threads.
-
-    channels: colour channels, by number. stop: once it is not 0, calls of the kernel soon raise Cancelled.
-    lamps: whose light is gathered, too; None for none.
+    Safe to use on several threads.
     """
-    if kernels is not None:
-        return CompiledMarch(kernels, media, options, channels, stop, lamps)
 
-    def marched(rays: RayBatch) -> RaySegment:
-        emission = emitted_radiance(media, rays, channels, options.optimizations)
-        segment = dataclasses.replace(march(media, rays, options), emission=emission)
-        if lamps is None:
-            return segment
-        samples = segment.sample_ray, segment.sample_distance
-        return dataclasses.replace(segment, lamps=march_lamps(media, rays, lamps, options, samples))
+    def __init__(
+        self,
+        media: Sequence[BoundMedium],
+        options: MarchOptions,
+        channels: Sequence[int],
+        stop: c_int32,
+        lamps: LampMarch | None = None,
+    ):
+        """channels: colour channels, by number. stop: once it is not 0, calls return soon, their result incomplete.
 
-    return marched
+        lamps: whose light is gathered, too; None for none.
+        """
+        self._lamps = lamps
+        self._kernels, self._media, self._options = library.load_kernels(), media, options
+        self._channels, self._emits = len(channels), any(medium.emits for medium in media)
+        self._varying = sum(medium.varies for medium in media)
+        self._stop = stop
+        self._groups = options.groups or [[v] for v in range(len(media))]
+        self._suns = len(media[0].sun_depths)
+        self._scene = self._describe(list(channels))
+        self._local = threading.local()
+
+    def __call__(self, rays: RayBatch) -> RaySegment:
+        """What rays gather whose intervals contain all media. Raises Cancelled."""
+        return self.march_steps(rays, step_counts(self._media, rays))
+
+    def march_steps(self, rays: RayBatch, counts: np.ndarray) -> RaySegment:
+        """As calling it, for a number of steps int (R,) for each ray. Raises Cancelled."""
+        count, volumes, most = len(rays.near), len(self._media), self._options.depth_samples
+        counts = np.ascontiguousarray(counts, np.int64)
+        most *= self._options.most_detail
+        batch = structures.Rays(
+            rays=count,
+            origins=_doubles(rays.origins),
+            directions=_doubles(rays.directions),
+            near_distance=_doubles(rays.near),
+            far_distance=_doubles(rays.far),
+            counts=counts,
+            detail=None if rays.detail is None else np.ascontiguousarray(rays.detail, np.int64),
+            max_count=int(counts.max(initial=1)),
+            stop=self._stop,
+        )
+        scratch = self._scratch(batch.max_count)
+        batch.scratch = scratch.ctypes.data
+        alpha, depth = np.empty((2, count))
+        scattering = len(self._options.scattering)
+        optical_depth, single = np.empty((count, volumes)), np.empty((count, volumes, self._suns, scattering))
+        sample_scattering = scattering_depth = None
+        if self._varying:
+            sample_scattering = np.empty((count * most, volumes, scattering), np.float32)
+            scattering_depth = np.empty((count, volumes, scattering))
+        emission = np.empty((count, self._channels)) if self._emits else None
+        samples = np.zeros(count, np.int64)
+        distance, weight = np.empty((2, count * most))
+        fraction, features = np.empty((count * most, volumes), np.float32), None
+        if self._options.fluence is not None:
+            features = np.empty((count * most, len(self._groups), self._suns, COLUMNS), np.float32)
+        lamps = 0 if self._lamps is None else len(self._lamps.lamps)
+        of_lamps, lamp_features = np.empty((count, volumes, lamps, scattering)), None
+        if self._lamps is not None and self._lamps.fluence is not None:
+            lamp_features = np.empty((count * most, len(self._groups), lamps, COLUMNS), np.float32)
+        gathered = structures.Gathered(
+            alpha=alpha,
+            depth=depth,
+            optical_depth=optical_depth,
+            single_scattering=single,
+            lamp_scattering=of_lamps,
+            scattering_depth=scattering_depth,
+            emission=emission,
+            sample_counts=samples,
+            sample_distance=distance,
+            sample_weight=weight,
+            sample_fraction=fraction,
+            sample_scattering=sample_scattering,
+            sample_features=features,
+            lamp_features=lamp_features,
+        )
+        if self._kernels.march(self._scene, batch, gathered) < count:
+            raise Cancelled
+        end = gathered.samples
+        # Copies: most of the arrays may be unused.
+        return RaySegment(
+            alpha,
+            depth,
+            optical_depth,
+            single,
+            np.repeat(np.arange(count), samples),
+            distance[:end].copy(),
+            weight[:end].copy(),
+            fraction[:end].copy(),
+            _copied(features, end),
+            gathered.blocks * STEPS,
+            emission,
+            None if self._lamps is None else LampSegment(of_lamps, _copied(lamp_features, end)),
+            None if sample_scattering is None else sample_scattering[:end].copy(),
+            scattering_depth,
+        )
+
+    def _scratch(self, max_count: int) -> np.ndarray:
+        """Scratch memory of the calling thread."""
+        size = self._kernels.scratch_bytes(self._scene, max_count)
+        if getattr(self._local, "scratch", None) is None or len(self._local.scratch) < size:
+            self._local.scratch = np.empty(size, np.uint8)
+        return self._local.scratch
+
+    def _describe(self, channels: list[int]) -> structures.Shared:
+        options, most, lamps = self._options, self._options.depth_samples, self._lamps
+        wide, wide_weights = legendre_nodes(MANY)
+        nodes, weights = np.zeros((2, most + 1, most))
+        for count in possible_counts(most):
+            nodes[count, :count], weights[count, :count] = options.quadrature(count)
+        members = np.concatenate([np.array(group, np.int64) for group in self._groups])
+        starts = np.cumsum([0, *map(len, self._groups)]).astype(np.int64)
+        return structures.Scene(
+            volumes=len(self._media),
+            suns=self._suns,
+            groups=len(self._groups),
+            channels=len(channels),
+            varying=self._varying,
+            scattering=len(options.scattering),
+            media=structures.array_of(
+                [describe_medium(medium, channels, options.scattering, lamps is not None) for medium in self._media]
+            ),
+            group_starts=starts,
+            group_members=members,
+            shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
+            fluence=None if options.fluence is None else structures.array_of([_fluence(f) for f in options.fluence]),
+            lamps=0 if lamps is None else len(lamps.lamps),
+            lamp_list=structures.array_of(
+                [_lamp(lamp, self._media, lamps.mean(k)) for k, lamp in enumerate(lamps.lamps)] if lamps else []
+            ),
+            lamp_fluence=structures.array_of([_fluence(f) for f in lamps.fluence or []] if lamps else []),
+            lamp_radius=lamps.radius if lamps else 0.0,
+            brief=BRIEF,
+            wide=WIDE,
+            wide_count=MANY,
+            wide_nodes=0.5 + 0.5 * wide,
+            wide_weights=0.5 * wide_weights,
+            nodes=nodes,
+            node_weights=weights,
+            depth_samples=most,
+            most_detail=options.most_detail,
+            adaptive="faint_rays" in options.optimizations,
+            coarse_count=COARSE_COUNT,
+            skip_empty="empty_space" in options.optimizations,
+            at_start=options.at_start,
+            step_thickness=STEP_THICKNESS,
+            step_growth=STEP_GROWTH,
+            peak_thickness=PEAK_THICKNESS,
+            peak_growth=PEAK_GROWTH,
+            finest=FINEST,
+            behind=optical_depth_behind(options),
+            behind_emission=MAX_OPTICAL_DEPTH if "behind_opaque" in options.optimizations else np.inf,
+            min_alpha=MIN_ALPHA,
+            dark=float(DARK),
+            max_tau_sun=MAX_TAU_SUN,
+            max_tau_ahead=MAX_TAU_AHEAD,
+            scales=np.array(SCALES),
+            jitter=np.float64(JITTER),
+        )
+
+
+def _doubles(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float64)
+
+
+def _copied(features: np.ndarray | None, count: int) -> RayFeatures | None:
+    return None if features is None else RayFeatures(features[:count].copy())
+
+
+def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium], mean: MeanLampDepth | None) -> structures.Shared:
+    columns = [depth.described(medium.sigma_t) for each in lamp.depths for depth, medium in zip(each, media)]
+    pointers = (c_void_p * len(columns))(*map(addressof, columns))
+    shadow_maps = [describe_shadow_map(shadow_map) for shadow_map in lamp.shadow_maps or []]
+    grid = None if mean is None else describe_grid(mean.grid)
+    described = structures.Lamp(
+        emitters=len(lamp.emitters),
+        parts=structures.array_of([describe_emitter(emitter) for emitter in lamp.emitters]),
+        columns=pointers,
+        shadow_maps=structures.array_of(shadow_maps),
+        centre=np.float64(lamp.centre),
+        reach=lamp.reach,
+        smooth=lamp.smooth(media),
+        mean=grid,
+        mean_from=0.0 if mean is None else mean.start,
+    )
+    described.kept += [*columns, grid]
+    return described
+
+
+def _phase_table(medium: Medium) -> np.ndarray:
+    """Phase function float32 (2, PHASES + 1) by the square root of 1 - |cosine|, forwards and backwards."""
+    cosine = 1.0 - (np.arange(structures.PHASES + 1) / structures.PHASES) ** 2
+    return np.stack([medium.scattered(cosine), medium.scattered(-cosine)]).astype(np.float32)
+
+
+def describe_medium(
+    medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool
+) -> structures.Shared:
+    """A medium, with the emission and the scattering of some colour channels.
+
+    lamps: whether its phase function is tabulated, for the light of lamps.
+    """
+    grid = medium.grid
+    scattered = [describe_grid(grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
+    emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
+    density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
+    described = structures.Medium(
+        density=density,
+        held=grid.density.held if isinstance(grid.density, DenseGrid) else None,
+        occupancy=occupancy,
+        suns=structures.array_of([depth.described(medium.sigma_t) for depth in medium.sun_depths]),
+        phase=_phase_table(medium.medium) if lamps else None,
+        linear=grid.linear,
+        offset=grid.offset,
+        sigma_t=medium.sigma_t,
+        emission=(structures.Grid * structures.CHANNELS)(*emission),
+        emission_power=grid.emission_power,
+        emission_factor=medium.medium.emission if medium.emits else 0.0,
+        varies=medium.varies,
+        scattering=(structures.Grid * structures.CHANNELS)(*scattered),
+    )
+    described.kept += [density, occupancy, *emission, *scattered]
+    return described
+
+
+def _shadow_map(shadow_map: ShadowMap) -> structures.Shared:
+    heights = np.ascontiguousarray(shadow_map.heights, np.float32)
+    return structures.ShadowMap(
+        heights=heights,
+        rows=heights.shape[0],
+        columns=heights.shape[1],
+        linear=shadow_map.linear,
+        offset=shadow_map.offset,
+    )
+
+
+def _fluence(fluence: ScatteredFluence | None) -> structures.Shared:
+    if fluence is None:
+        return structures.Fluence(reduced_fraction=1.0)
+    lights = [np.ascontiguousarray(light, np.float32) for light in fluence.lights]
+    assert all(light.shape == (CELLS, CELLS, CELLS, 4) for light in lights)
+    pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
+    described = structures.Fluence(
+        lights=pointers,
+        scales=None if fluence.scales is None else np.array(fluence.scales, np.float64),
+        cells=CELLS,
+        linear=fluence.linear,
+        offset=fluence.offset,
+        flux_from_world=fluence.flux_from_world(),
+        reduced_fraction=fluence.reduced_fraction,
+    )
+    described.kept += lights
+    return described
+
+
+def ray_features_at(
+    medium: BoundMedium,
+    positions: np.ndarray,
+    directions: np.ndarray,
+    fluence: ScatteredFluence | None,
+    lamps: LampMarch | None = None,
+) -> RayFeatures:
+    """Ray features at world positions (N, 3) for rays along unit directions (N, 3), in one medium alone.
+
+    fluence: of the medium's suns; None where features of lamps are wanted instead.
+    """
+    _, far = medium.grid.interval(positions, directions)
+    far = np.maximum(far, 1e-6 * medium.grid.voxel)
+    march = Marcher([medium], MarchOptions(1, [fluence], at_start=True), (), c_int32(0), lamps)
+    segment = march(RayBatch(positions, directions, np.zeros(len(positions)), far))
+    features = segment.sample_features if segment.lamps is None else segment.lamps.features
+    assert features is not None
+    return features

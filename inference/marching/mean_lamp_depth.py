@@ -36,10 +36,6 @@ class MeanLampDepth:
     grid: DenseGrid
     start: float
 
-    def __call__(self, index: np.ndarray) -> np.ndarray:
-        """Optical depth float32 (N,) at continuous indices float32 (3, N) of the medium."""
-        return self.grid.sample(index + np.float32(1.0))
-
 
 def mean_lamp_depth(lamp: LampInMedia, medium: BoundMedium, tasks: AnyTasks) -> MeanLampDepth:
     """Depths of a lamp's light in a medium alone, whose density is a DenseGrid. Raises Cancelled."""
@@ -70,18 +66,10 @@ def _depths(lamp: LampInMedia, medium: BoundMedium, numbers: np.ndarray, shape: 
     numbers: int (N,), in a lattice of a shape that has one voxel more than the medium on each side.
     """
     world_from_index, index = inverse(medium.linear), np.stack(np.unravel_index(numbers, shape)) - 1
-    if lamp.kernels is not None:
-        emitters = [(emitter, depth, None) for emitter, [depth] in zip(lamp.emitters, lamp.depths)]
-        origin = world_from_index @ (-1.0 - medium.offset)
-        cells = LampCells(shape, world_from_index, origin, np.ones(3, int), medium.sigma_t)
-        passed, given = light_in_cells(lamp.kernels, emitters, cells, (numbers, 1, 0.0))
-    else:
-        points = (index - medium.offset[:, None]).T @ world_from_index.T
-        passed, given = np.zeros((2, len(points)), np.float32)
-        for emitter, [depth] in zip(lamp.emitters, lamp.depths):
-            light = emitter.fluence(points).astype(np.float32)
-            passed += light * np.exp(-depth(index.astype(np.float32), medium.sigma_t))
-            given += light
+    emitters = [(emitter, depth, None) for emitter, [depth] in zip(lamp.emitters, lamp.depths)]
+    origin = world_from_index @ (-1.0 - medium.offset)
+    cells = LampCells(shape, world_from_index, origin, np.ones(3, int), medium.sigma_t)
+    passed, given = light_in_cells(emitters, cells, (numbers, 1, 0.0))
     # Where no part gives anything, all of them alike.
     dark = np.flatnonzero(given < DARK)
     if len(dark):

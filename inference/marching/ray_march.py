@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ray marching: transmittance, exact single scattering and depths to sample along camera rays.
+"""What is gathered along camera rays.
 
-Within a step extinction is constant and the optical depth towards the sun linear, so that the integrals over a step are
-exact. Blocks of steps, (P, STEPS), are those of `ray_steps`.
+The light of a lamp near a ray varies within a step as the inverse square of its distance. Its integral over each step
+is a quadrature in the angle under which the lamp sees the step, in which the inverse square is constant (Kulla and
+Fajardo, "Importance Sampling Techniques for Path Tracing in Participating Media", 2012); the transmittance varies
+exponentially within a step, as for suns.
 """
 
 from collections.abc import Sequence
@@ -10,24 +12,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.bound_medium import BoundMedium
-from ..numerics.exponential import one_minus_exp
-from ..numerics.small_matmul import product
 from ..occluders.shadow_map import ShadowMap
 from ..scene.optimizations import ALL
 from ..transport.scattered_fluence import ScatteredFluence
-from .depth_samples import Quadrature, gauss_legendre, sample_opacities
-from .ray_features import REACH, RayFeatures, SampleSteps, gather_ray_features
-from .ray_steps import STEPS, Blocks, Cutting, RayBatch, RayLines, cut_into_blocks, sums_within
+from .depth_samples import Quadrature, gauss_legendre
+from .lamp_in_media import LampInMedia
+from .mean_lamp_depth import MeanLampDepth
+from .ray_features import REACH, RayFeatures
 
 # Optical depth up to which rays are marched for single scattering: a fraction of 1e-6 is transmitted.
 MAX_OPTICAL_DEPTH = 14.0
 # Jitter of fluence lookups, in cells: a rank-1 lattice over the steps of a ray.
 JITTER = np.array([[0.8191725], [0.6710436], [0.5497005]], np.float32)
-# Further from 0 than any number of a step, and still a whole number in single precision.
-FAR_AWAY = np.float32(2.0**30)
 # Optical depth that counts as complete shadow.
 DARK = np.float32(60.0)
+# Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
+# it, instead of FEW in its length; and up to which one in its middle is enough.
+WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class MarchOptions:
     volumes. groups: numbers of the volumes that the network treats as one medium, each alone if None. optimizations:
     those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity. scattering: colour channels
     whose scattering is gathered, by number; one stands for all unless an albedo varies in colour. most_detail: largest
-    of RayBatch.detail.
+    of RayBatch.detail. at_start: each ray has one depth sample, where it begins, in density or not.
     """
 
     depth_samples: int
@@ -50,6 +51,7 @@ class MarchOptions:
     quadrature: Quadrature = gauss_legendre
     scattering: Sequence[int] = (0,)
     most_detail: int = 1
+    at_start: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,47 +97,23 @@ class RaySegment:
     scattering_depth: np.ndarray | None = None
 
 
-def mean_transmittance(start: np.ndarray | np.float32, end: np.ndarray) -> np.ndarray:
-    """Mean of exp(-tau) over a step along which tau varies linearly from start to end, both >= 0."""
-    x = np.maximum(np.abs(end - start), np.float32(1e-20))
-    return np.exp(-np.minimum(start, end)) * one_minus_exp(x) / x
+@dataclass(frozen=True)
+class LampMarch:
+    """Lamps whose light is gathered along camera rays.
 
-
-class MarchedMedium:
-    """The filled blocks of rays, with extinction and optical depth in their steps.
-
-    sigma: float32 (V, P, STEPS), mean extinction of each step. dt: (P, 1), length of steps. total: (P, STEPS), of all
-    volumes. tau: (P, STEPS), optical thickness of each step. within: (P, STEPS), optical depth from the block's start
-    to each step's end. before: float64 (P,), from the ray's start to the block's.
+    fluence: scattered light of the lamps in each group of volumes, None for a group without prediction; None altogether
+    if no ray features are wanted. radius: by which their light is softened for these. means: optical depths of all of a
+    lamp's light, for each lamp, or None; only for one volume alone, which no surface shadows from the lamp.
     """
 
-    def __init__(self, media: Sequence[BoundMedium], rays: RayBatch, cutting: Cutting):
-        self.lines, self.blocks, self.sigma = cut_into_blocks(media, rays, cutting)
-        self.dt = (self.lines.dt[self.blocks.ray] * self.blocks.size).astype(np.float32)[:, None]
-        self.total = self.sigma.sum(axis=0)
-        self.tau = self.total * self.dt
-        self.within = sums_within(self.tau)
-        self.before = self.blocks.before(self.within[:, -1])
+    lamps: Sequence[LampInMedia]
+    fluence: list[ScatteredFluence | None] | None
+    radius: float
+    means: Sequence[MeanLampDepth | None] = ()
 
-    def scattering(self, media: Sequence[BoundMedium], channel: int) -> np.ndarray:
-        """Scattering coefficient of steps in a colour channel, float32 (V, P, STEPS): the extinction, for albedo 1, in
-        volumes whose albedo does not vary."""
-        found = self.sigma
-        inside = self.blocks.steps(0.0) < self.lines.count[self.blocks.ray, None]
-        for v, medium in enumerate(media):
-            if medium.varies:
-                mean = self.lines.mean(medium.grid.scattering_of(channel).sample, v, self.blocks)
-                found = found.copy() if found is self.sigma else found
-                # Nothing scatters where interpolation in single precision leaves no density.
-                found[v] = np.minimum(mean * inside * np.float32(medium.sigma_t), self.sigma[v])
-        return found
-
-    def edges(self) -> np.ndarray:
-        """Optical depth from the ray's start to the edges of steps, float32 (P, STEPS + 1)."""
-        edges = np.zeros((len(self.tau), STEPS + 1), np.float32)
-        edges[:, 1:] = self.within
-        edges += self.before.astype(np.float32)[:, None]
-        return edges
+    def mean(self, number: int) -> MeanLampDepth | None:
+        """Of a lamp by number."""
+        return self.means[number] if self.means else None
 
 
 def optical_depth_behind(options: MarchOptions) -> float:
@@ -143,218 +121,3 @@ def optical_depth_behind(options: MarchOptions) -> float:
     if "behind_opaque" not in options.optimizations:
         return np.inf
     return MAX_OPTICAL_DEPTH if options.fluence is None else REACH
-
-
-def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
-    """March rays, whose intervals contain all media, through all of them."""
-    cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
-    medium = MarchedMedium(media, rays, cutting)
-    lines, blocks, total, dt = medium.lines, medium.blocks, medium.total, medium.dt
-    transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
-    alpha = -np.expm1(-blocks.sums(medium.within[:, -1]))
-    # The middle of a step stands for the mean distance within it.
-    scattered = transmitted * one_minus_exp(medium.tau)
-    reached = blocks.sums(block_sums(scattered * blocks.steps(0.5).astype(np.float32)))
-    depth = lines.near + reached * lines.dt / np.maximum(alpha, 1e-30)
-
-    sun_depths = _sun_depths(media, medium, total > 0.0)
-    visibility = _visibility(options.shadow_maps, medium, rays) if options.shadow_maps else None
-    varies = any(bound.varies for bound in media)
-    scattering = [medium.scattering(media, channel) for channel in options.scattering]
-    single = _single(medium, sun_depths, transmitted, visibility, scattering)
-    opacities = sample_opacities(
-        alpha, options.depth_samples, "faint_rays" in options.optimizations, options.quadrature, rays.detail
-    )
-    block, step, inside, weight = _sample_depths(medium, *opacities)
-    ray = blocks.ray[block]
-    fraction = medium.sigma[:, block, step] / np.maximum(total[block, step], np.float32(1e-30))
-    sample_scattering = scattering_depth = None
-    if varies:
-        some = np.stack([sigma[:, block, step] for sigma in scattering])
-        sample_scattering = (some / np.maximum(total[block, step], np.float32(1e-30))).T
-        scattering_depth = np.stack([_depths(blocks, sigma, dt) for sigma in scattering], axis=2)
-    features = None
-    if options.fluence is not None:
-        sigma, depths = group_sums(medium.sigma, options.groups), group_sums(sun_depths, options.groups)
-        source = scattered_source(options.fluence, rays, sigma, depths.shape[1], medium)
-        samples = SampleSteps(block, step, inside)
-        features = gather_ray_features(
-            blocks, sigma * dt, depths, source, reduced_fractions(options.fluence), samples, visibility
-        )
-    return RaySegment(
-        alpha,
-        depth,
-        _depths(blocks, medium.sigma, dt),
-        single,
-        sample_ray=ray,
-        sample_distance=lines.near[ray] + (blocks.place[block] + (step + inside) * blocks.size[block]) * lines.dt[ray],
-        sample_weight=weight,
-        sample_fraction=fraction.T,
-        sample_features=features,
-        steps_evaluated=blocks.looked_at * STEPS,
-        sample_scattering=sample_scattering,
-        scattering_depth=scattering_depth,
-    )
-
-
-def _depths(blocks: Blocks, sigma: np.ndarray, dt: np.ndarray) -> np.ndarray:
-    """Optical depth (R, V) of rays; sigma: (V, P, STEPS), dt: (P, 1)."""
-    return np.stack([blocks.sums(block_sums(one * dt)) for one in sigma], axis=1)
-
-
-def ray_features_at(
-    medium: BoundMedium, positions: np.ndarray, directions: np.ndarray, fluence: ScatteredFluence
-) -> RayFeatures:
-    """Ray features at world positions (N, 3) for rays along unit directions (N, 3), in one medium alone."""
-    rays = rays_from(medium, positions, directions)
-    marched = MarchedMedium([medium], rays, Cutting(REACH, keep_empty=True, always_first=True))
-    blocks = marched.blocks
-    start = np.flatnonzero(blocks.rank == 0)
-    known = marched.total > 0.0
-    known[start, 0] = True
-    sun_depths = _sun_depths([medium], marched, known, may_be_outside=True)
-    source = scattered_source([fluence], rays, marched.sigma, sun_depths.shape[1], marched)
-    samples = SampleSteps(start, np.zeros(len(positions), int), np.zeros(len(positions)))
-    return gather_ray_features(
-        blocks, marched.sigma * marched.dt, sun_depths, source, reduced_fractions([fluence]), samples
-    )
-
-
-def rays_from(medium: BoundMedium, positions: np.ndarray, directions: np.ndarray) -> RayBatch:
-    """Rays from world positions (N, 3) along unit directions (N, 3) to where they leave a medium."""
-    _, far = medium.grid.interval(positions, directions)
-    far = np.maximum(far, 1e-6 * medium.grid.voxel)
-    return RayBatch(positions, directions, np.zeros(len(positions)), far)
-
-
-def block_sums(values: np.ndarray) -> np.ndarray:
-    """Sums (..., P) over the steps of each block, (..., P, STEPS); as a product they take a fifth of the time."""
-    return product(values, np.ones(STEPS, values.dtype))
-
-
-def _sample_depths(
-    medium: MarchedMedium, ray: np.ndarray, opacity: np.ndarray, weight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Block, step, position in the step and weight, (M,) each, of the samples of `sample_opacities`."""
-    blocks = medium.blocks
-    # One search in all rays at once: the opacities of ray n lie in [2n, 2n + 1].
-    starts = 2.0 * blocks.ray - np.expm1(-medium.before)
-    block = np.searchsorted(starts, opacity + 2.0 * ray, side="right") - 1
-    # Invert the exponential, then find the step within the block.
-    wanted = -np.log1p(-np.minimum(opacity, 1.0 - 1e-12)) - medium.before[block]
-    step = (medium.within[block] <= wanted[:, None]).sum(axis=1)
-    last = STEPS - 1 - (medium.tau[:, ::-1] > 0.0).argmax(axis=1)
-    step = np.minimum(step, last[block])
-    tau = medium.tau[block, step]
-    inside = (wanted - (medium.within[block, step] - tau)) / np.maximum(tau, np.float32(1e-30))
-    return block, step, np.clip(inside, 0.0, 1.0), weight
-
-
-def _sun_depths(
-    media: Sequence[BoundMedium], medium: MarchedMedium, filled: np.ndarray, may_be_outside: bool = False
-) -> np.ndarray:
-    """Optical depth (V, L, P, STEPS + 1) through each volume towards each sun, at both ends of filled steps.
-
-    filled: bool (P, STEPS).
-    """
-    volumes, suns = len(media), len(media[0].sun_depths)
-    ends = np.zeros((len(filled), STEPS + 1), bool)
-    ends[:, :-1] |= filled
-    ends[:, 1:] |= filled
-    # Depths at the joint of two consecutive blocks are looked up once.
-    joint = np.flatnonzero(medium.blocks.followed() & ends[:, -1])
-    ends[joint + 1, 0], ends[joint, -1] = True, False
-    edge = np.flatnonzero(ends)
-    camera_depth = medium.edges().reshape(-1)[edge]
-    ray = np.repeat(medium.blocks.ray, STEPS + 1)[edge]
-    place = medium.blocks.edges().reshape(-1)[edge]
-    depths = np.full((volumes, suns, *ends.shape), DARK, np.float32)
-    for v, bound in enumerate(media):
-        position = medium.lines.index(v, ray, place)
-        for l in range(suns):
-            depths[v, l].reshape(-1)[edge] = bound.sun_optical_depth(
-                position, l, may_be_outside or volumes > 1, camera_depth
-            )
-    depths[:, :, joint, -1] = depths[:, :, joint + 1, 0]
-    return depths
-
-
-def group_sums(values: np.ndarray, groups: list[list[int]] | None) -> np.ndarray:
-    """Sums (G, ...) over groups of volumes of values (V, ...)."""
-    if groups is None or groups == [[v] for v in range(len(values))]:
-        return values
-    return np.stack([values[group].sum(axis=0) for group in groups])
-
-
-def reduced_fractions(fluence: Sequence[ScatteredFluence | None]) -> list[float]:
-    """Reduced fraction of scattering of each group; arbitrary for groups without prediction."""
-    return [1.0 if one is None else one.reduced_fraction for one in fluence]
-
-
-def scattered_source(
-    fluence: Sequence[ScatteredFluence | None], rays: RayBatch, sigma: np.ndarray, suns: int, medium: MarchedMedium
-) -> np.ndarray:
-    """4 pi times the scattered light of each sun that scatters towards the camera: (G, L, P, STEPS).
-
-    Taken at the middle of each filled step; 0 for groups without prediction. sigma: (G, P, STEPS), extinction of each
-    group.
-    """
-    lines = RayLines([one for one in fluence if one is not None], rays, medium.lines.count)
-    source = np.zeros((len(fluence), suns, *medium.total.shape), np.float32)
-    ray, blocks, known = medium.blocks.ray, medium.blocks, 0
-    for v, one in enumerate(fluence):
-        if one is None:
-            continue
-        filled = np.flatnonzero(sigma[v])
-        # Number of each step on a ray that consists of such steps alone.
-        number = (blocks.steps(0.0) / blocks.size[:, None]).reshape(-1)[filled]
-        ray_of = np.repeat(ray, STEPS)[filled]
-        indices = lines.index(known, ray_of, blocks.steps(0.5).reshape(-1)[filled])
-        # Jittered from step to step, so that neighbouring rays do not enter a cell at the same step, which would be
-        # visible.
-        jitter = np.clip(number.astype(np.float32) * JITTER, 0.0, FAR_AWAY)
-        indices += jitter - np.floor(jitter) - np.float32(0.5)
-        cells, towards = one.cells(indices), one.towards(rays.directions).take(ray_of, axis=0)
-        for l, values in enumerate(one.lights):
-            found = np.einsum("nk,nk->n", values.reshape(-1, 4).take(cells, axis=0).astype(np.float32), towards)
-            scale = np.float32(1.0 if one.scales is None else one.scales[l])
-            source[v, l].reshape(-1)[filled] = np.maximum(found, np.float32(0.0)) * scale
-        known += 1
-    return source
-
-
-def _visibility(shadow_maps: Sequence[ShadowMap], medium: MarchedMedium, rays: RayBatch) -> np.ndarray:
-    """Visibility of each sun (L, P, STEPS) at the middle of each filled step."""
-    lines = RayLines(shadow_maps, rays, medium.lines.count)
-    filled = np.flatnonzero(medium.total)
-    ray = np.repeat(medium.blocks.ray, STEPS)[filled]
-    place = medium.blocks.steps(0.5).reshape(-1)[filled]
-    visibility = np.ones((len(shadow_maps), *medium.total.shape), np.float32)
-    for l, shadow_map in enumerate(shadow_maps):
-        visibility[l].reshape(-1)[filled] = shadow_map.visibility(lines.index(l, ray, place))
-    return visibility
-
-
-def _single(
-    medium: MarchedMedium,
-    sun_depths: np.ndarray,
-    transmitted: np.ndarray,
-    visibility: np.ndarray | None,
-    scattering: Sequence[np.ndarray],
-) -> np.ndarray:
-    """Single scattering (R, V, L, S) by volume, sun and colour channel, for irradiance and phase function 1.
-
-    scattering: scattering coefficients (V, P, STEPS) of S colour channels.
-    """
-    volumes, suns = sun_depths.shape[:2]
-    single = np.zeros((medium.blocks.rays, volumes, suns, len(scattering)))
-    # Integral over a step of exp(-tau to the camera - tau to the sun).
-    for l in range(suns):
-        depth = sun_depths[:, l].sum(axis=0) if volumes > 1 else sun_depths[0, l]
-        light = transmitted * mean_transmittance(depth[:, :-1], depth[:, 1:] + medium.tau) * medium.dt
-        if visibility is not None:
-            light *= visibility[l]
-        for s, sigma in enumerate(scattering):
-            for v in range(volumes):
-                single[:, v, l, s] = medium.blocks.sums(block_sums(sigma[v] * light))
-    return single

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..features.descriptors import angle_to_sun
 from ..grids.working_cube import Cube
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -48,7 +47,6 @@ class Baseline:
         cube: Cube,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> "BaselinePredictor":
         """What predicts in one volume; reads nothing of it."""
         return BaselinePredictor(self.name, anisotropy)

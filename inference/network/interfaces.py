@@ -6,7 +6,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..grids.working_cube import Cube
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -51,9 +50,8 @@ class System(Protocol):
         cube: Cube,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> Any:
-        """A Predictor for one volume in its working cube. kernels: compiled ones, or None. Raises Cancelled."""
+        """A Predictor for one volume in its working cube. Raises Cancelled."""
 
 
 class Predictor(Protocol):

@@ -43,13 +43,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.lamp_optical_depth import GAUSS_NODES
 from ..grids.sphere_depth import EXCESS_MOST, FIRST_PART, NODES
-from ..kernels.field_structures import NearbyLight
-from ..kernels.library import Kernels
-from ..numerics.small_matmul import lengths, product
-from ..numerics.spherical_harmonics import DEGREES, spherical_harmonics
-from ..scene.phase_function import henyey_greenstein, reduced_anisotropy
+from ..kernels.library import call
+from ..numerics.quadrature import legendre_nodes
+from ..numerics.spherical_harmonics import DEGREES
+from ..scene.phase_function import reduced_anisotropy
 from ..transport.forward_peak import MIN_FORWARD
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
@@ -143,7 +141,7 @@ class SoftStart:
         ways = points - lamp
         distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-30)
         share = np.minimum(FIRST_PART * self.radius / distance, 1.0)
-        places = lamp + (np.array(GAUSS_NODES)[:, None, None] * share[:, None]) * ways
+        places = lamp + ((0.5 + 0.5 * legendre_nodes(2)[0])[:, None, None] * share[:, None]) * ways
         mean = density.values(places.reshape(-1, 3)).reshape(places.shape[:2]).mean(axis=0)
         place = distance / (distance + self.radius) * (NODES - 1)
         more = np.clip(mean / max(self.around, 1e-30), 0.0, EXCESS_MOST)
@@ -156,8 +154,7 @@ class LampNearby:
 
     share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
     anisotropy: G of the phase function. density: of the cube's cells, a lattice of one value. extent: lower and upper
-    corner (3,) of the volume's box in the cube's frame. start: of a lamp with a soft falloff, or None. kernels:
-    compiled ones, or None.
+    corner (3,) of the volume's box in the cube's frame. start: of a lamp with a soft falloff, or None.
     """
 
     share: float
@@ -166,7 +163,6 @@ class LampNearby:
     density: FluenceLattice
     extent: Bounds
     start: SoftStart | None = None
-    kernels: Kernels | None = None
 
     def lit(self, lamp: np.ndarray, points: np.ndarray, irradiance: np.ndarray, depth: np.ndarray) -> LampAtPoints:
         """The light of a lamp (3,) at points (N, 3); irradiance, depth: (N,), as of LampAtPoints."""
@@ -194,21 +190,13 @@ class LampNearby:
         frame. lamp: at the points.
         """
         (light, scale), g = self.lights[albedo], self.anisotropy
-        if self.kernels is not None and g**2 >= MIN_FORWARD:
-            return self._compiled(self.kernels, albedo, positions, omega, lamp)
-        moments = light.values(positions) * np.float32(scale)
         if g**2 < MIN_FORWARD:
+            moments = light.values(positions) * np.float32(scale)
             found = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
-        else:
-            found = _scattered(moments, omega, lamp, g, albedo)
-        return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
-
-    def _compiled(
-        self, kernels: Kernels, albedo: float, positions: np.ndarray, omega: np.ndarray, lamp: LampAtPoints
-    ) -> np.ndarray:
-        """As `radiance`."""
-        (light, scale), out = self.lights[albedo], np.empty(len(positions), np.float32)
-        data = NearbyLight(
+            return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
+        out = np.empty(len(positions), np.float32)
+        call(
+            "scatter_nearby",
             points=len(positions),
             index=_floats(light.index(positions)),
             omega=_floats(omega.T),
@@ -222,17 +210,16 @@ class LampNearby:
             cells=_floats(light.cells),
             edge=len(light.cells),
             scale=scale,
-            anisotropy=self.anisotropy,
-            reduced=reduced_anisotropy(self.anisotropy),
+            anisotropy=g,
+            reduced=reduced_anisotropy(g),
             albedo=albedo,
-            terms=_terms(self.anisotropy),
+            terms=_terms(g),
             weights=WEIGHTS,
             straightest=STRAIGHTEST,
             straightest_peak=STRAIGHTEST_PEAK,
             least=LEAST,
             out=out,
         )
-        kernels.prepare("scatter_nearby", data)
         return out
 
 
@@ -243,85 +230,3 @@ def _floats(values: np.ndarray) -> np.ndarray:
 def _terms(anisotropy: float) -> int:
     """Number of the terms of Legendre series."""
     return max(min(int(np.log(MIN_TERM) / np.log(anisotropy**2)) + 2, MAX_TERMS), LAST + 1)
-
-
-def _scattered(
-    moments: np.ndarray, omega: np.ndarray, lamp: LampAtPoints, anisotropy: float, albedo: float
-) -> np.ndarray:
-    """Light (N,), W/(m^2 sr), that scatters towards the camera, of the lamp and of the transport's moments (N, 20).
-
-    omega: (N, 3), along camera rays.
-    """
-    count = (LAST + 1) ** 2
-    found = _scattered_wide(moments[:, :count], omega, anisotropy)
-    # Light that scatters backwards has no peak.
-    if anisotropy > 0.0:
-        found += _scattered_narrow(moments[:, count], moments[:, count + 1 :], omega, lamp, anisotropy, albedo)
-    return found
-
-
-def _scattered_wide(moments: np.ndarray, omega: np.ndarray, anisotropy: float) -> np.ndarray:
-    """Of the light that the transport's moments (N, 16) tell."""
-    g, flux = anisotropy, moments[:, 1:4]
-    middle = flux / np.maximum(lengths(flux), 1e-30)[:, None]
-    inside = _along(moments, middle)
-    whole, mean = np.maximum(inside[:, 0], 0.0), np.maximum(inside[:, 1], 0.0)
-    straightness = (inside[:, 2] / np.maximum(mean, 1e-30)).clip(0.0, STRAIGHTEST)
-    amount = np.minimum(mean / np.maximum(straightness, 1e-6), whole)
-    turn = -(middle * omega).sum(axis=1)
-    differs = _along(moments, -omega)
-    differs -= (amount[:, None] * straightness[:, None] ** np.arange(LAST + 1)) * _legendre(turn)
-    # Of degree 0, what is not of that distribution.
-    found = product(differs, WEIGHTS * g ** np.arange(LAST + 1))
-    return found + amount * henyey_greenstein(turn, g * straightness)
-
-
-def _scattered_narrow(
-    fluence: np.ndarray, flux: np.ndarray, omega: np.ndarray, lamp: LampAtPoints, anisotropy: float, albedo: float
-) -> np.ndarray:
-    """Of light that has scattered within the peak alone, of a fluence (N,) and a flux (N, 3)."""
-    cosine = (omega * lamp.towards).sum(axis=1)
-    ahead = np.maximum(cosine, 0.0)
-    straight = straight_light(lamp, anisotropy, albedo)
-    first = straight[1]
-    known = np.divide(-(flux * lamp.towards).sum(axis=1), first, out=np.ones(len(first)), where=np.abs(first) > 1e-30)
-    known = known.clip(0.0, 1.0)
-    rest = flux + (known * first)[:, None] * lamp.towards
-    found = (1.0 - ahead) * _lobe(fluence, flux, omega, anisotropy)
-    found += ahead * _lobe(fluence - known * straight[0], rest, omega, anisotropy)
-    # Legendre's polynomials by their recurrence.
-    before, here = np.zeros(len(cosine)), np.ones(len(cosine))
-    for order, light in enumerate(straight):
-        found += (2 * order + 1) / (4.0 * np.pi) * anisotropy**order * ahead * known * light * here
-        before, here = here, ((2 * order + 1) * cosine * here - order * before) / (order + 1)
-    return found
-
-
-def straight_light(lamp: LampAtPoints, anisotropy: float, albedo: float) -> list[np.ndarray]:
-    """Legendre moments (N,) around the way from the lamp of light that has turned within the peak alone, by degree."""
-    count, unscattered = _terms(anisotropy), np.exp(-lamp.depth)
-    means, less = lamp.way.means(anisotropy, count), lamp.way.means(reduced_anisotropy(anisotropy), count)
-    wide = 1.0 - anisotropy**2
-    return [
-        lamp.irradiance * (np.exp(albedo * (mean - wide * part) * lamp.scattering - lamp.depth) - unscattered)
-        for mean, part in zip(means, less)
-    ]
-
-
-def _lobe(fluence: np.ndarray, flux: np.ndarray, omega: np.ndarray, anisotropy: float) -> np.ndarray:
-    """What scatters towards the camera (N,) of light around the direction of its flux (N, 3)."""
-    fluence, size = np.maximum(fluence, 0.0), lengths(flux)
-    straightness = np.minimum(size / np.maximum(fluence, 1e-30), STRAIGHTEST_PEAK)
-    turn = -(flux * omega).sum(axis=1) / np.maximum(size, 1e-30)
-    return fluence * henyey_greenstein(turn, anisotropy * straightness)
-
-
-def _along(moments: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Moments (N, LAST + 1) by Legendre's polynomials along directions (N, 3), of those by spherical harmonics."""
-    return np.add.reduceat(moments * spherical_harmonics(directions).T, FIRST, axis=1)
-
-
-def _legendre(cosine: np.ndarray) -> np.ndarray:
-    """Legendre's polynomials (N, LAST + 1) of cosines (N,)."""
-    square = cosine * cosine
-    return np.stack([np.ones_like(cosine), cosine, 1.5 * square - 0.5, cosine * (2.5 * square - 1.5)], axis=1)

@@ -11,7 +11,6 @@ from ..features.descriptors import angle_to_sun
 from ..features.mip_lattices import DENSITY_SCALE, density_pyramid
 from ..features.rpnn_lattice import POINTS, SunLattice, read_lattices, refined_levels
 from ..grids.working_cube import Cube, level0_density
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -28,7 +27,7 @@ class LatticePredictor:
     """Density on RPNN's lattices, for a network that reads it; a `Predictor`.
 
     network: whose `points` are the SunLattice. cube: of the volume. anisotropy: unused, it is that of the training.
-    kernels: compiled ones, or None. Safe on several threads. Raises Cancelled.
+    Safe on several threads. Raises Cancelled.
     """
 
     needs_ray_features = False
@@ -41,10 +40,9 @@ class LatticePredictor:
         cube: Cube,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ):
         self.network = network
-        self.density = refined_levels(density_pyramid(level0_density(volume, cube, cancel, kernels), kernels))
+        self.density = refined_levels(density_pyramid(level0_density(volume, cube, cancel)))
         self._lock = threading.Lock()
         self._features: tuple[float, list[np.ndarray]] | None = None
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ..grids.working_cube import Cube
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from ..scene.errors import SceneError
@@ -102,10 +101,9 @@ class Network:
         cube: Cube,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> Predictor:
-        """What reads one volume for this network. kernels: compiled ones, or None. Raises Cancelled."""
-        return self.kind(self, volume, cube, anisotropy, cancel, kernels)
+        """What reads one volume for this network. Raises Cancelled."""
+        return self.kind(self, volume, cube, anisotropy, cancel)
 
     def run(self, **inputs: np.ndarray) -> np.ndarray:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ..grids.working_cube import fit_cube
-from ..kernels.library import Kernels
 from ..marching.joined_lamps import PredictedLamp
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
@@ -46,7 +45,7 @@ class VolumePredictor:
     """A network with what it reads of one volume, for any extinction and sun.
 
     network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
-    kernels: compiled ones, or None. Safe on several threads. Raises Cancelled.
+    Safe on several threads. Raises Cancelled.
 
     Outside the range of optical thickness that the network was trained for, the prediction is that at the end of the
     range: scaled down in proportion below it, where multiple scattering is linear in density, and constant above it. No
@@ -60,12 +59,11 @@ class VolumePredictor:
         volume: Volume,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ):
         self.network, self.volume = network, volume
         self.cube, self.requested_anisotropy = fit_cube(volume), anisotropy
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
-        self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel, kernels)
+        self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         self._lock = threading.Lock()
         self._last: tuple[tuple[Any, ...], PreparedPredictor] | None = None
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ..kernels.library import Kernels, Unavailable, load_kernels, wanted
 from ..onnx.session import Session
 from ..scene.errors import SceneError
 
@@ -58,9 +57,7 @@ def open_session(content: bytes, provider: str) -> OpenedSession:
     onnxruntime = load_onnxruntime()
     if onnxruntime is None:
         said = f"the network runs on the processor instead of {provider}: there is no onnxruntime that loads"
-        return OpenedSession(
-            Session(content, _kernels()), BUILT_IN, [said] if provider != "CPU" else [], contextlib.nullcontext()
-        )
+        return OpenedSession(Session(content), BUILT_IN, [said] if provider != "CPU" else [], contextlib.nullcontext())
     processor = _session(onnxruntime, content, "CPU")
     if provider == "CPU":
         return OpenedSession(processor, "CPU", [], contextlib.nullcontext())
@@ -97,13 +94,6 @@ def load_onnxruntime() -> ModuleType | None:
 def is_recent(version: str) -> bool:
     """Whether an onnxruntime of a version runs the networks."""
     return tuple(map(int, re.findall(r"\d+", version)[:2])) >= OLDEST
-
-
-def _kernels() -> Kernels | None:
-    try:
-        return load_kernels() if wanted(True) else None
-    except Unavailable:
-        return None
 
 
 def _session(onnxruntime: Any, content: bytes, provider: str) -> Any:

@@ -27,7 +27,6 @@ from ..grids.halving import halve
 from ..grids.lamp_optical_depth import DIRECTIONS, RADII
 from ..grids.sphere_depth import start_depths
 from ..grids.working_cube import Cube
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -62,7 +61,7 @@ VISIBILITY_SAMPLES = 3
 class StencilPredictor:
     """Density, transmittance and phase function at the stencil, for a network that reads them; a `Predictor`.
 
-    network: whose `points` are the Stencil. cube: of the volume. kernels: compiled ones, or None. Safe on several
+    network: whose `points` are the Stencil. cube: of the volume. Safe on several
     threads. Raises Cancelled.
     """
 
@@ -76,13 +75,12 @@ class StencilPredictor:
         cube: Cube,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ):
-        self.network, self.cube, self.anisotropy, self.kernels = network, cube, anisotropy, kernels
+        self.network, self.cube, self.anisotropy = network, cube, anisotropy
         self._lock = threading.Lock()
         self._lattices: tuple[tuple[float, ...], Lattices] | None = None
         self.volume = volume
-        self.padded = padded_pyramid(volume, cube, network.points, cancel, kernels)
+        self.padded = padded_pyramid(volume, cube, network.points, cancel)
         self._read_pyramid()
 
     def _read_pyramid(self) -> None:
@@ -106,7 +104,7 @@ class StencilPredictor:
             # Released before building new ones.
             self._lattices = None
             lattices = build_lattices(
-                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier, self.kernels
+                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier
             )
             self._lattices = conditions.bounds_key, lattices
         lookup = FieldLookup(stencil, lattices, conditions.sun)
@@ -186,7 +184,7 @@ class RayPredictor(StencilPredictor):
             lattices = self._density_lattices(conditions, tasks)
             cells, light = self._solve(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
-        depth = unit_sun_depth(self.fine, conditions.sun, self.kernels)
+        depth = unit_sun_depth(self.fine, conditions.sun)
         if conditions.shadow_map:
             depth = shadowed_depth(depth, conditions.shadow_map.cell_visibility(len(depth)), conditions.sigma_hat)
         gather = self._final_gather(depth, light, conditions)
@@ -194,7 +192,7 @@ class RayPredictor(StencilPredictor):
 
     def _final_gather(self, depth: np.ndarray, light: np.ndarray, conditions: Conditions) -> FinalGather:
         """Gathers light around camera rays; depth and light: as for `FinalGather.of`."""
-        return FinalGather.of(self.fine, depth, light, (conditions.sigma_hat, self.anisotropy), self.kernels)
+        return FinalGather.of(self.fine, depth, light, (conditions.sigma_hat, self.anisotropy))
 
     def prepare_environment(
         self,
@@ -215,13 +213,11 @@ class RayPredictor(StencilPredictor):
             lattices = self._density_lattices(conditions, tasks)
             if self._depths is None:
                 levels = [inner_cells(self.padded[m], m, self.network.points) for m in (0, 1)]
-                lattice = direction_depths(self.coarse, tasks.cancel, self.kernels)
-                self._depths = OpenDepths(levels, lattice, self.kernels)
+                lattice = direction_depths(self.coarse, tasks.cancel)
+                self._depths = OpenDepths(levels, lattice)
             if self._environment is None or self._environment[0] != key:
                 self._environment = None
-                solved = solve_environment(
-                    self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel, self.kernels
-                )
+                solved = solve_environment(self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel)
                 if skies.vary:
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
                 self._environment = key, solved
@@ -251,7 +247,6 @@ class RayPredictor(StencilPredictor):
                 self.network.points,
                 bounds=conditions.bounds,
                 mapper=tasks.each,
-                kernels=self.kernels,
             )
             self._lattices = conditions.bounds_key, lattices
         return self._lattices[1]
@@ -271,7 +266,7 @@ class RayPredictor(StencilPredictor):
             lattices = self._density_lattices(conditions, tasks)
             solved = self._solve_lamp(conditions, tasks.cancel)
         lookup = FieldLookup(self.network.points, lattices, conditions.sun)
-        fine = CubeCells(self.fine, conditions.sigma_hat, self.kernels)
+        fine = CubeCells(self.fine, conditions.sigma_hat)
         depth, most = conditions.lamp.unit_depth(fine, tasks.cancel)
         gather = self._final_gather(depth, solved.light, conditions)
         place = self.cube.positions(conditions.lamp.centre[None])[0]
@@ -310,7 +305,7 @@ class RayPredictor(StencilPredictor):
         lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         start = self._soft_start(conditions, density)
-        return LampNearby(share, lights, self.anisotropy, density, extent, start, self.kernels)
+        return LampNearby(share, lights, self.anisotropy, density, extent, start)
 
     def _soft_start(self, conditions: Conditions, density: FluenceLattice) -> SoftStart | None:
         """Of the conditions' lamp, in the matter around it; density: of the coarse cells."""
@@ -339,7 +334,7 @@ class RayPredictor(StencilPredictor):
         key = conditions.sigma_hat, light_key, conditions.occluders
         with cancel.locked(self._lock):
             if self._albedo is None:
-                self._albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel, self.kernels)
+                self._albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel)
             known = self._albedo
             if key not in self._places:
                 if len(self._places) >= MAX_LATTICES:
@@ -386,7 +381,7 @@ class RayPredictor(StencilPredictor):
                 light = solver.lamp(lamp, cancel)
             else:
                 solver = self._new_solver(conditions, albedo)
-                medium = NearbyMedium(self.coarse, conditions.sigma_hat, self.anisotropy, albedo, self.kernels)
+                medium = NearbyMedium(self.coarse, conditions.sigma_hat, self.anisotropy, albedo)
                 light = nearby_light(solver, medium, lamp, cancel)
             # The lattices' range is that of suns: the brightest cell has the light of a sun of irradiance 1.
             scale = max(float(light[0].max()), 1e-30)
@@ -418,10 +413,8 @@ class RayPredictor(StencilPredictor):
     def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
         """Solver of the transport without surfaces, on cells twice as large."""
         coarser = np.empty([n // 2 for n in self.coarse.shape], np.float32)
-        halve(np.ascontiguousarray(self.coarse), coarser, self.kernels)
-        return DiscreteOrdinates(coarser, sigma_hat, self.anisotropy, kernels=self.kernels, albedo=albedo)
+        halve(np.ascontiguousarray(self.coarse), coarser)
+        return DiscreteOrdinates(coarser, sigma_hat, self.anisotropy, albedo=albedo)
 
     def _new_solver(self, conditions: Conditions, albedo: float = 1.0) -> DiscreteOrdinates:
-        return DiscreteOrdinates(
-            self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, self.kernels, albedo
-        )
+        return DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo)

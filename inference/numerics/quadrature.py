@@ -5,6 +5,10 @@ import functools
 
 import numpy as np
 
+#: Powers of the reciprocal of the plastic number: multiples of them, less their whole parts, are spread evenly over a
+#: square (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
+PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
+
 # Newton's method doubles the digits of nodes that are right to three from the start.
 ITERATIONS = 5
 

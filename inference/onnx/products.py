@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Products with a matrix of weights, by a compiled kernel or by numpy.
+"""Products with a matrix of weights, by a compiled kernel.
 
 numpy's own library for products does not know every processor and is up to five times slower there.
 """
 
 import numpy as np
 
-from ..kernels.field_structures import PANEL, MatrixProduct
-from ..kernels.library import Kernels
+from ..kernels.library import call
+from ..kernels.structures import PANEL
 
 # Multiplications per call of the kernel: some 50 ms on the slowest processors.
 MOST_PER_CALL = 500_000_000
@@ -16,12 +16,12 @@ MOST_PER_CALL = 500_000_000
 class Weights:
     """A matrix that others are multiplied with from the left.
 
-    matrix: float32 (inner, columns). kernels: compiled ones, or None for numpy.
+    matrix: float32 (inner, columns).
     """
 
-    def __init__(self, matrix: np.ndarray, kernels: Kernels | None):
+    def __init__(self, matrix: np.ndarray):
         inner, columns = matrix.shape
-        self._matrix, self._kernels = matrix, kernels
+        self._matrix = matrix
         panels = np.zeros((-(-columns // PANEL), inner, PANEL), np.float32)
         for number, panel in enumerate(panels):
             part = matrix[:, number * PANEL : (number + 1) * PANEL]
@@ -30,8 +30,6 @@ class Weights:
 
     def product(self, left: np.ndarray) -> np.ndarray:
         """left @ matrix, float32 (n, columns); left: float32 (n, inner)."""
-        if self._kernels is None:
-            return left @ self._matrix
         left = np.ascontiguousarray(left, np.float32)
         (count, inner), columns = left.shape, self._matrix.shape[1]
         if inner != len(self._matrix):
@@ -40,7 +38,8 @@ class Weights:
         rows = max(MOST_PER_CALL // max(inner * columns, 1), 1)
         for first in range(0, count, rows):
             part, found = left[first : first + rows], out[first : first + rows]
-            data = MatrixProduct(
+            call(
+                "multiply",
                 rows=len(part),
                 inner=inner,
                 columns=columns,
@@ -48,5 +47,4 @@ class Weights:
                 right=self._panels,
                 out=found,
             )
-            self._kernels.prepare("multiply", data)
         return out

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ..kernels.library import Kernels
 from .model_file import Input, MalformedFile, Model, Node, read_model
 from .operators import IN_PLACE, NEW_MEMORY, OPERATORS
 from .products import Weights
@@ -38,18 +37,18 @@ class _Step:
 class Session:
     """Evaluates an ONNX file on the calling thread. Immutable and safe on several threads.
 
-    content: of the file. kernels: compiled ones, or None for numpy alone. Raises MalformedFile for content that is no
+    content: of the file. Raises MalformedFile for content that is no
     ONNX file, or whose graph has operators that are not known here.
     """
 
-    def __init__(self, content: bytes, kernels: Kernels | None = None):
+    def __init__(self, content: bytes):
         self._model = read_model(content)
         unknown = {node.operation for node in self._model.nodes} - set(OPERATORS)
         if unknown:
             raise MalformedFile(f"its operators {', '.join(sorted(unknown))} are unknown")
         own = _own_memory(self._model)
         self._steps = [
-            _step(node, self._model.weights, released, kernels, own)
+            _step(node, self._model.weights, released, own)
             for node, released in zip(self._model.nodes, _last_uses(self._model))
         ]
 
@@ -93,7 +92,6 @@ def _step(
     node: Node,
     weights: dict[str, np.ndarray],
     released: tuple[str, ...],
-    kernels: Kernels | None,
     own: frozenset[str],
 ) -> _Step:
     """A node with its attributes; a product with a matrix of weights holds it packed."""
@@ -102,7 +100,7 @@ def _step(
     plain = not {"transA", "alpha", "beta"} & set(attributes)
     if node.operation in ("Gemm", "MatMul") and plain and weights.get(inputs[1], np.empty(0)).ndim == 2:
         matrix = weights[inputs[1]]
-        run = _product(Weights(matrix.T if attributes.get("transB") else matrix, kernels))
+        run = _product(Weights(matrix.T if attributes.get("transB") else matrix))
         inputs = (inputs[0], *inputs[2:])
     spent = own & set(released) if node.operation in IN_PLACE else frozenset()
     return _Step(run=run, inputs=inputs, outputs=node.outputs, released=released, spent=frozenset(spent))

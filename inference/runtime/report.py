@@ -39,14 +39,13 @@ class Report:
     """Statistics of a render, filled while it runs.
 
     model, checksum: name of the network and SHA-256 of its weights. provider: onnxruntime execution provider that ran
-    it. kernels: kind of processor that the compiled kernels use, or numpy where there are none. threads: worker
-    threads. planned, left_out: sentences about what the render does, and about what it skips.
-    warnings: what the user should know; each names the object. counts: of pixels, rays, steps and points.
-    saved: approximate seconds that each optimization saved, see `plan.savings`. seconds: wall-clock time per stage;
-    of stages that several threads do side by side, the mean over the threads. "total" is measured separately.
-    expected_error: of the picture; None where nothing is predicted, and where the error of what predicts is not known.
-    cpu_seconds: processor time of all threads of the process per stage. peak_memory: bytes of the whole process, None
-    where the platform does not tell.
+    it. kernels: kind of processor that the compiled kernels use. threads: worker threads. planned, left_out: sentences
+    about what the render does, and about what it skips. warnings: what the user should know; each names the object.
+    counts: of pixels, rays, steps and points. saved: approximate seconds that each optimization saved, see
+    `plan.savings`. seconds: wall-clock time per stage; of stages that several threads do side by side, the mean over
+    the threads. "total" is measured separately. expected_error: of the picture; None where nothing is predicted, and
+    where the error of what predicts is not known. cpu_seconds: processor time of all threads of the process per stage.
+    peak_memory: bytes of the whole process, None where the platform does not tell.
     """
 
     model: str = ""

@@ -24,8 +24,6 @@ class Settings:
     memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.
     multiple: whether multiple scattering is predicted; without it the volumes are too dark.
     provider: onnxruntime execution provider that runs the network, a key of `provider.PROVIDERS`.
-    compiled: whether compiled kernels do the work that they can do, rather than numpy, which takes many times as long;
-        the environment variable MRPNN_COMPILED=0 overrules it.
     light_paths: whether the light of environments is corrected by some ten thousand light paths, where these can be
         followed.
     directional: whether baked light is right from other directions than the camera's too.
@@ -41,7 +39,6 @@ class Settings:
     memory_limit: int = 8 << 30
     multiple: bool = True
     provider: str = "CPU"
-    compiled: bool = True
     light_paths: bool = True
     directional: bool = True
     leave_out: frozenset[str] = ALL

@@ -9,7 +9,7 @@ from ..scene.emitters import CLOSEST, FULL_SPREAD, Emitter, SphereEmitter
 from ..scene.spot_cone import SpotCone
 
 
-def describe_emitter(emitter: Emitter) -> structures.Emitter:
+def describe_emitter(emitter: Emitter) -> structures.Shared:
     """A part of a lamp."""
     common = dict(position=np.float64(emitter.position), extent=float(emitter.extent))
     if isinstance(emitter, SphereEmitter):
@@ -47,7 +47,7 @@ def describe_emitter(emitter: Emitter) -> structures.Emitter:
     )
 
 
-def describe_shadow_map(shadow_map: LampShadowMap) -> structures.LampShadowMap:
+def describe_shadow_map(shadow_map: LampShadowMap) -> structures.Shared:
     """Distances of the surfaces around a part of a lamp."""
     return structures.LampShadowMap(
         distances=np.ascontiguousarray(shadow_map.distances, np.float32),

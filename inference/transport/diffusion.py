@@ -6,8 +6,7 @@ At the outer faces light leaves and none enters (Marshak's boundary condition).
 
 import numpy as np
 
-from ..kernels.field_structures import Diffusion
-from ..kernels.library import Kernels
+from ..kernels import library, structures
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
 
@@ -39,29 +38,18 @@ def couple(diffusion: np.ndarray, h: float, boundaries: CellBoundaries | None = 
     return diagonal, couplings
 
 
-def _apply(diagonal: np.ndarray, couplings: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The operator applied to x (x, y, z)."""
-    y = diagonal * x
-    for axis in range(3):
-        c, u, v = (np.moveaxis(a, axis, 0) for a in (couplings[axis], x, y))
-        v[:-1] -= c[:-1] * u[1:]
-        v[1:] -= c[:-1] * u[:-1]
-    return y
-
-
 def solve(
     equation: tuple[np.ndarray, np.ndarray],
     source: np.ndarray,
     least: float = 0.0,
     tolerance: float = TOLERANCE,
     iterations: int = MAX_ITERATIONS,
-    kernels: Kernels | None = None,
     cancel: CancelToken = NEVER,
 ) -> np.ndarray:
     """Solve the equation by conjugate gradients with the diagonal as preconditioner.
 
     equation: diagonal and couplings, from `couple`. source: (x, y, z). least: lower bound of the solution. tolerance:
-    of the residual, relative to the first. iterations: at most. kernels: compiled ones, or None. Returns float64 (x, y,
+    of the residual, relative to the first. iterations: at most. Returns float64 (x, y,
     z). Raises Cancelled.
     """
     diagonal, couplings = equation
@@ -71,33 +59,20 @@ def solve(
     # BLAS would wake its threads for a dot product, which then spin (`numerics.small_matmul`).
     rz = float((residual * p).sum())
     limit = rz * tolerance**2
-    if kernels is not None:
-        system = Diffusion(
-            shape=np.array(source.shape),
-            diagonal=diagonal,
-            couplings=couplings,
-            x=x,
-            residual=residual,
-            direction=p,
-            product=np.empty_like(x),
-            rz=rz,
-            limit=limit,
-        )
-        for done in range(0, iterations, ITERATIONS_PER_CALL):
-            cancel.check()
-            system.iterations = min(ITERATIONS_PER_CALL, iterations - done)
-            if kernels.prepare("conjugate_gradients", system) < system.iterations:
-                break
-        return np.maximum(x, least)
-    for _ in range(iterations):
+    system = structures.Diffusion(
+        shape=np.array(source.shape),
+        diagonal=diagonal,
+        couplings=couplings,
+        x=x,
+        residual=residual,
+        direction=p,
+        product=np.empty_like(x),
+        rz=rz,
+        limit=limit,
+    )
+    for done in range(0, iterations, ITERATIONS_PER_CALL):
         cancel.check()
-        if not rz > limit:
+        system.iterations = min(ITERATIONS_PER_CALL, iterations - done)
+        if library.load_kernels().call("conjugate_gradients", system) < system.iterations:
             break
-        ap = _apply(diagonal, couplings, p)
-        step = rz / float((p * ap).sum())
-        x += step * p
-        residual -= step * ap
-        z = residual / diagonal
-        rz, before = float((residual * z).sum()), rz
-        p = z + (rz / before) * p
     return np.maximum(x, least)

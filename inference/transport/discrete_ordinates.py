@@ -27,7 +27,6 @@ import numpy as np
 
 from ..grids.halving import halve
 from ..grids.optical_depth_sweep import sun_optical_depth
-from ..kernels.library import Kernels
 from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
@@ -87,7 +86,7 @@ class DiscreteOrdinates:
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
-    surfaces, or None. kernels: compiled ones, or None. albedo: in (0, 1], or (n, n, n) in [0, 1] where it varies.
+    surfaces, or None. albedo: in (0, 1], or (n, n, n) in [0, 1] where it varies.
     """
 
     def __init__(
@@ -96,11 +95,9 @@ class DiscreteOrdinates:
         sigma_hat: float,
         anisotropy: float,
         triangles: np.ndarray | None = None,
-        kernels: Kernels | None = None,
         albedo: float | np.ndarray = 1.0,
     ) -> None:
         n = len(density)
-        self.kernels = kernels
         self.density, self.sigma = density, np.float32(sigma_hat)
         self.anisotropy = reduced_anisotropy(anisotropy)
         self.varies = isinstance(albedo, np.ndarray)
@@ -124,7 +121,7 @@ class DiscreteOrdinates:
                 albedo_means = self._means(albedo * density) / np.maximum(means, np.float32(1e-30))
             else:
                 albedo_means = albedo
-            self.coarser = DiscreteOrdinates(means, sigma_hat, anisotropy, triangles, kernels, albedo_means)
+            self.coarser = DiscreteOrdinates(means, sigma_hat, anisotropy, triangles, albedo_means)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
@@ -139,7 +136,7 @@ class DiscreteOrdinates:
         elif not self.conservative:
             self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self._means(density)
         scattering = float(1.0 if self.varies else self.albedo), self.anisotropy
-        self.sweeps = OrdinateSweeps(self.extinction, scattering, self.boundaries, kernels)
+        self.sweeps = OrdinateSweeps(self.extinction, scattering, self.boundaries)
 
     def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
@@ -148,7 +145,7 @@ class DiscreteOrdinates:
         through. Raises Cancelled.
         """
         n = len(self.density)
-        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n, self.kernels)
+        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n)
         fields = self._fields()
         # Mean of the beam over a cell, exact for a beam along an axis.
         half = np.float32(0.5 / n) * self.extinction
@@ -304,7 +301,7 @@ class DiscreteOrdinates:
 
     def unscattered(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0) -> np.ndarray:
         """Fluence float32 (x, y, z) of a sun's light that counts as unscattered, as of `light`, in cells' centres."""
-        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / len(self.density), self.kernels)
+        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / len(self.density))
         return visibility * np.exp(-tau)
 
     def _phase(self, steps: np.ndarray, sun: np.ndarray) -> np.ndarray:
@@ -318,7 +315,7 @@ class DiscreteOrdinates:
         """
         n = len(self.density)
         source = self._means(change) * np.float32((2.0 / n) ** 2)
-        found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, self.kernels, cancel)
+        found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, cancel)
         more = self._finer(found.astype(np.float32))
         field[0] += more
         for axis in range(3):
@@ -339,7 +336,7 @@ class DiscreteOrdinates:
     def _means(self, values: np.ndarray) -> np.ndarray:
         """Means of 2 x 2 x 2 cells."""
         means = np.empty([n // 2 for n in values.shape], np.float32)
-        halve(np.ascontiguousarray(values, np.float32), means, self.kernels)
+        halve(np.ascontiguousarray(values, np.float32), means)
         return means
 
 

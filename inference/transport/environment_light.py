@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grids.halving import halve
-from ..kernels.library import Kernels
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
@@ -171,24 +170,23 @@ def solve_environment(
     anisotropy: float,
     radiance: np.ndarray,
     cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lattices of the fluence and flux over 4 pi of an environment's light, as `environment_lattice`.
 
     First of its C channels. Then, on cells twice as large, of a medium of each of ALBEDOS, with the C channels and even
     light of radiance 1: (34, 34, 34, 4 ALBEDOS (C + 1)). coarse: a level of the density pyramid, float32 (x, y, z).
-    sigma_hat: extinction per unit density times the cube's edge. radiance: (26, C), from the ordinates. kernels:
-    compiled ones, or None. Raises Cancelled.
+    sigma_hat: extinction per unit density times the cube's edge. radiance: (26, C), from the ordinates. Raises
+    Cancelled.
     """
     light = np.asarray(radiance).T / (4.0 * np.pi)
     even = np.full((1, len(ORDINATES)), 1.0 / (4.0 * np.pi))
-    solver = DiscreteOrdinates(coarse, sigma_hat, anisotropy, kernels=kernels)
+    solver = DiscreteOrdinates(coarse, sigma_hat, anisotropy)
     found = np.stack([solver.environment(channel, cancel) for channel in light], axis=1)
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
-    halve(np.ascontiguousarray(coarse), coarser, kernels)
+    halve(np.ascontiguousarray(coarse), coarser)
     absorbed = []
     for albedo in ALBEDOS:
-        solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, kernels=kernels, albedo=albedo)
+        solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, albedo=albedo)
         absorbed += [solver.environment(channel, cancel) for channel in np.concatenate([light, even])]
     return environment_lattice(found), environment_lattice(np.stack(absorbed, axis=1))
 

@@ -10,7 +10,6 @@ from ..grids.dense_grid import DenseGrid
 from ..grids.held_cells import box_of, with_neighbours
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..grids.working_cube import Cube
-from ..kernels.library import Kernels
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.emitters import Emitter, LampSource
@@ -26,22 +25,16 @@ PARTS, NEAR_PARTS, NEAR_CELLS, SOFT = 2, 8, 2.5, 0.4
 MAX_DEPTH = 60.0
 
 
-def _centres(n: int, numbers: np.ndarray) -> np.ndarray:
-    """Centres (N, 3) of cells, by flat number, of a cube from -1/2 to 1/2 of n cells along an edge."""
-    return (np.stack(np.unravel_index(numbers, (n, n, n)), axis=1) + 0.5) / n - 0.5
-
-
 @dataclass(frozen=True)
 class CubeCells:
     """Cells of the working cube that light is cast into.
 
-    density: float32 (n, n, n). sigma: extinction for density 1, per edge of the cube. kernels: compiled ones, or None.
+    density: float32 (n, n, n). sigma: extinction for density 1, per edge of the cube.
     forward: as of DiscreteOrdinates.
     """
 
     density: np.ndarray
     sigma: float
-    kernels: Kernels | None = None
     forward: float = 0.0
 
 
@@ -129,7 +122,7 @@ class LampInCube:
         linear, offset = n * np.eye(3), 0.5 * n - 0.5 - low
         grid = DenseGrid(solver.density[box])
         sources = [self._in_cube(emitter.source) for emitter in self.emitters]
-        depths = [LampOpticalDepth(grid, linear, offset, one, apart, cancel, solver.kernels) for one in sources]
+        depths = [LampOpticalDepth(grid, linear, offset, one, apart, cancel) for one in sources]
         light, near = np.zeros((2, len(filled)), np.float32), np.zeros((n, n, n), bool)
         for source in sources:
             first, end = (np.ceil((source.position + 0.5) * n - 0.5 + side * NEAR_CELLS) for side in (-1.0, 1.0))
@@ -138,27 +131,11 @@ class LampInCube:
         for some, parts in ((~nearby, few), (nearby, NEAR_PARTS)):
             cells = filled[some]
             radius = SOFT * self.cube.edge / (n * parts)
-            if solver.kernels is not None:
-                world = self.cube.rotation * (self.cube.edge / n)
-                origin = self.cube.world(np.full(3, 0.5 / n - 0.5))
-                lattice = LampCells((n, n, n), world, origin, low, float(solver.sigma), solver.forward)
-                emitters = list(zip(self.emitters, depths, self.shadow_maps or [None] * len(depths)))
-                light[:, some] = light_in_cells(solver.kernels, emitters, lattice, (cells, parts, radius), cancel)
-                continue
-            centres, found = _centres(n, cells), np.zeros((2, len(cells)))
-            inside = ((np.arange(parts) + 0.5) / parts - 0.5) / n
-            for shift in np.stack(np.meshgrid(inside, inside, inside, indexing="ij"), axis=-1).reshape(-1, 3):
-                cancel.check()
-                points = centres + shift
-                world, index = self.cube.world(points), (n * points + offset).T.astype(np.float32)
-                for e, (emitter, depth) in enumerate(zip(self.emitters, depths)):
-                    one = emitter.fluence(world)
-                    one = one / (1.0 + one * (4.0 * np.pi * radius**2))
-                    found[1] += one
-                    one *= np.exp(-depth(index, float(solver.sigma), solver.forward))
-                    shadow_map = None if self.shadow_maps is None else self.shadow_maps[e]
-                    found[0] += one if shadow_map is None else one * shadow_map.visibility(world)
-            light[:, some] = found / parts**3
+            world = self.cube.rotation * (self.cube.edge / n)
+            origin = self.cube.world(np.full(3, 0.5 / n - 0.5))
+            lattice = LampCells((n, n, n), world, origin, low, float(solver.sigma), solver.forward)
+            emitters = list(zip(self.emitters, depths, self.shadow_maps or [None] * len(depths)))
+            light[:, some] = light_in_cells(emitters, lattice, (cells, parts, radius), cancel)
         self._add_closest(light, filled, solver)
         return light
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grids.lamp_optical_depth import LampOpticalDepth
-from ..kernels.field_structures import LampBeam
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..kernels.structures import array_of, pointers_to
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
@@ -37,7 +36,6 @@ class LampCells:
 
 
 def light_in_cells(
-    kernels: Kernels,
     emitters: Sequence[tuple[Emitter, LampOpticalDepth, LampShadowMap | None]],
     cells: LampCells,
     samples: tuple[np.ndarray, int, float],
@@ -57,7 +55,8 @@ def light_in_cells(
     for start in range(0, len(numbers), size):
         cancel.check()
         some = slice(start, start + size)
-        data = LampBeam(
+        call(
+            "lamp_beam",
             lamp=len(emitters),
             columns=pointers_to(columns),
             emitters=array_of([describe_emitter(emitter) for emitter, _, _ in emitters]),
@@ -74,5 +73,4 @@ def light_in_cells(
             light=light[0, some],
             open=light[1, some],
         )
-        kernels.prepare("lamp_beam", data)
     return light

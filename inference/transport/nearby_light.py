@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grids.held_cells import box_of
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from .discrete_ordinates import DiscreteOrdinates
 from .forward_peak import forward_peak
@@ -29,14 +28,12 @@ class NearbyMedium:
     """A medium on the cells of the working cube.
 
     density: float32 (n, n, n). sigma: extinction for density 1, per edge of the cube. anisotropy, albedo: of it.
-    kernels: compiled ones, or None.
     """
 
     density: np.ndarray
     sigma: float
     anisotropy: float
     albedo: float
-    kernels: Kernels | None = None
 
 
 def nearby_light(
@@ -49,7 +46,7 @@ def nearby_light(
     """
     n, boundaries, box = len(medium.density), solver.boundaries, box_of(medium.density, 1)
     inner = (slice(None), *box)
-    light, towards = lamp(CubeCells(medium.density, medium.sigma, medium.kernels), cancel)
+    light, towards = lamp(CubeCells(medium.density, medium.sigma), cancel)
     depth, closed = medium.density * np.float32(medium.sigma / n), None
     if boundaries is not None:
         light, depth = light * ~boundaries.inside, np.where(boundaries.inside, OPAQUE, depth)
@@ -57,14 +54,14 @@ def nearby_light(
     light, depth, peak = light[box], np.ascontiguousarray(depth[box]), forward_peak(medium.anisotropy)
     corner = tuple(part.start for part in box)
     lit_cells = LampInCells(depth, light, (lamp.place + 0.5) * n - corner, closed, medium.albedo, lamp.cone, corner)
-    narrow = peak_light(lit_cells, peak, medium.kernels, cancel)
+    narrow = peak_light(lit_cells, peak, cancel)
     lobes = [Lobe(light, -towards[inner], _straightness(lit_cells)), Lobe.of(narrow[0], narrow[1:])]
     found = np.zeros((MOMENTS + 4, n, n, n), np.float32)
     found[MOMENTS:][inner] = narrow
     beams, wide = None, found[:MOMENTS]
     if boundaries is None:
         scaled = solver.extinction[box] * np.float32(1.0 / n)
-        wide[inner] = wide_light(scaled, float(solver.albedo), lobes, peak, medium.kernels, cancel)
+        wide[inner] = wide_light(scaled, float(solver.albedo), lobes, peak, cancel)
     else:
         # Few directions, but none passes a surface.
         beams = np.zeros((len(ORDINATES), n, n, n), np.float32)

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grids.optical_depth_sweep import sun_optical_depth
-from ..kernels.field_structures import OpenDepthSamples
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from .environment_light import DIRECTIONS
@@ -25,17 +24,16 @@ MIDDLES, LENGTHS = (0.5 * (ENDS[1:] + ENDS[:-1])).astype(np.float32), np.diff(EN
 REACH = np.float32(ENDS[-1])
 
 
-def direction_depths(coarse: np.ndarray, cancel: CancelToken = NEVER, kernels: Kernels | None = None) -> np.ndarray:
+def direction_depths(coarse: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
     """Optical depth float32 (50, n + 2, n + 2, n + 2) from each cell out towards DIRECTIONS, for sigma_hat = 1.
 
-    coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once.
-    kernels: compiled ones, or None. Raises Cancelled.
+    coarse: a level of the density pyramid, float32 (n, n, n). The outermost cells are repeated once. Raises Cancelled.
     """
     n = len(coarse)
     depths = np.empty((len(DIRECTIONS), n + 2, n + 2, n + 2), np.float32)
     for found, towards in zip(depths, DIRECTIONS):
         cancel.check()
-        found[...] = np.pad(sun_optical_depth(coarse, towards, 1.0 / n, kernels), 1, mode="edge")
+        found[...] = np.pad(sun_optical_depth(coarse, towards, 1.0 / n), 1, mode="edge")
     return depths
 
 
@@ -44,20 +42,18 @@ class OpenDepths:
     """Optical depths from points, for sigma_hat = 1.
 
     levels: the two finest levels of the density pyramid, float32 (n, n, n), rows of which are contiguous. lattice: of
-    `direction_depths`. kernels: compiled ones, or None.
+    `direction_depths`.
     """
 
     levels: Sequence[np.ndarray]
     lattice: np.ndarray
-    kernels: Kernels | None = None
 
     def __call__(self, positions: np.ndarray) -> np.ndarray:
         """Depths float32 (N, 50) towards DIRECTIONS, from positions (N, 3) in the cube's frame."""
         at = np.ascontiguousarray(positions, np.float32)
-        if self.kernels is None:
-            return np.stack([self._towards(at, k) for k in range(len(DIRECTIONS))], axis=1)
         found = np.empty((len(at), len(DIRECTIONS)), np.float32)
-        data = OpenDepthSamples(
+        call(
+            "sample_open_depths",
             points=len(at),
             positions=at,
             directions=len(DIRECTIONS),
@@ -66,6 +62,7 @@ class OpenDepths:
             middles=MIDDLES,
             lengths=LENGTHS,
             sampled=np.array(LEVELS, np.int64),
+            levels=tuple(level.ctypes.data for level in self.levels),
             cells=np.array([len(level) for level in self.levels], np.int64),
             strides=np.array([[stride // level.itemsize for stride in level.strides[:2]] for level in self.levels]),
             reach=REACH,
@@ -73,30 +70,4 @@ class OpenDepths:
             edge=self.lattice.shape[1],
             depths=found,
         )
-        for k, level in enumerate(self.levels):
-            data.levels[k] = level.ctypes.data
-        self.kernels.prepare("sample_open_depths", data)
         return found
-
-    def _towards(self, positions: np.ndarray, number: int) -> np.ndarray:
-        """Depths (N,) in one direction."""
-        towards, depths = DIRECTIONS[number].astype(np.float32), np.zeros(len(positions), np.float32)
-        for middle, length, level in zip(MIDDLES, LENGTHS, LEVELS):
-            density = self.levels[level]
-            cells = np.floor((positions + middle * towards + np.float32(0.5)) * np.float32(len(density))).astype(int)
-            inside = ((cells >= 0) & (cells < len(density))).all(axis=1)
-            depths[inside] += length * density[tuple(cells[inside].T)]
-        ends = positions + REACH * towards
-        inside = (np.abs(ends) < 0.5).all(axis=1)
-        depths[inside] += _interpolated(self.lattice[number], ends[inside])
-        return depths
-
-
-def _interpolated(values: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Trilinear values (N,) of a lattice (n + 2, n + 2, n + 2) at positions (N, 3) in the cube."""
-    index = (positions + np.float32(0.5)) * np.float32(len(values) - 2) + np.float32(0.5)
-    cell = index.astype(int)
-    i, j, k = cell.T
-    x, y, z = (index - cell).T
-    rows = [(1 - z) * values[i + a, j + b, k] + z * values[i + a, j + b, k + 1] for a in (0, 1) for b in (0, 1)]
-    return (1 - x) * ((1 - y) * rows[0] + y * rows[1]) + x * ((1 - y) * rows[2] + y * rows[3])

@@ -10,8 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..kernels.field_structures import OrdinateSweep
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..numerics.exponential import one_minus_exp
 from ..occluders.cell_boundaries import CellBoundaries
 from .ordinates import SIDE_ENDS, SIDES, STEPS, solid_angles
@@ -28,7 +27,7 @@ class OrdinateSweeps:
     """Follows light across cells.
 
     extinction: float32 (n, n, n), per edge of the cube. scattering: albedo and mean cosine, by which a field's fluence
-    and flux are its source. boundaries: CellBoundaries of black surfaces, or None. kernels: compiled ones, or None.
+    and flux are its source. boundaries: CellBoundaries of black surfaces, or None.
     """
 
     def __init__(
@@ -36,10 +35,9 @@ class OrdinateSweeps:
         extinction: np.ndarray,
         scattering: tuple[float, float],
         boundaries: CellBoundaries | None,
-        kernels: Kernels | None,
     ) -> None:
         n = len(extinction)
-        self.cells, self.scattering, self.kernels = n, scattering, kernels
+        self.cells, self.scattering = n, scattering
         self.links: list[np.ndarray] | None = None
         if boundaries is not None:
             extinction = np.where(boundaries.inside, np.float32(n * 1e3), extinction)
@@ -87,10 +85,10 @@ class OrdinateSweeps:
         """As `followers`, of one side; light: source and beams."""
         axis, sign = SIDES[side]
         steps, weights = sign * STEPS[axis], self._weights(sign * STEPS[axis], phase)
-        if self.kernels is None:
-            return lambda: self._follow(side, weights, light, swept, entering)
         n = self.cells
-        data = OrdinateSweep(
+        return functools.partial(
+            call,
+            "sweep_ordinates",
             cells=n,
             axis=axis,
             sign=sign,
@@ -108,7 +106,6 @@ class OrdinateSweeps:
             sums=swept,
             scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 12 * n, np.float32),
         )
-        return functools.partial(self.kernels.prepare, "sweep_ordinates", data)
 
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of a source in what steps emit, float32 (D, 5), and of their light in its sums, (D, 4)."""
@@ -118,45 +115,6 @@ class OrdinateSweeps:
         phase = albedo * phase
         gather = 4.0 * np.pi * solid_angles(steps)[:, None] * unit
         return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
-
-    def _follow(
-        self,
-        side: int,
-        weights: tuple[np.ndarray, np.ndarray],
-        light: tuple[np.ndarray, np.ndarray | None],
-        swept: np.ndarray,
-        entering: np.ndarray | None,
-    ) -> None:
-        """Twin of the kernel; weights: of `_weights`, the others as for `_follower`."""
-        axis, sign = SIDES[side]
-        n, steps = self.cells, sign * STEPS[axis]
-        kinds = np.abs(steps).sum(axis=1) - 1
-        (emit, gather), (field, beams) = weights, light
-        across = [place for place in range(3) if place != axis]
-        field, swept, leaving, within = (
-            np.moveaxis(values, 1 + axis, 0) for values in (field, swept, self.leaving, self.within)
-        )
-        if beams is not None:
-            beams = np.moveaxis(beams, 1 + axis, 0)
-        # Light that leaves the previous slice, with a border of what enters.
-        passing = np.zeros((len(steps), n + 2, n + 2), np.float32)
-        if entering is not None:
-            passing[:] = entering[:, None, None]
-        for k in range(n)[::sign]:
-            arriving = np.stack(
-                [previous[1 - b : 1 - b + n, 1 - c : 1 - c + n] for previous, (b, c) in zip(passing, steps[:, across])]
-            )
-            if self.links is not None:
-                arriving *= self.links[side][k]
-            parts = field[k] if beams is None else [*field[k][:4], beams[k]]
-            source = sum(weight[:, None, None] * part for weight, part in zip(emit.T, parts))
-            rise = source - arriving
-            passing[:, 1:-1, 1:-1] = arriving + rise * leaving[k][kinds]
-            mean = arriving + rise * within[k][kinds]
-            if swept.shape[1] == SUMS:
-                swept[k] += (gather[:, :, None, None] * mean[:, None]).sum(axis=0)
-            else:
-                swept[k] = mean
 
 
 def _open_links(boundaries: CellBoundaries, side: int) -> np.ndarray:

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..kernels.field_structures import PeakPhotons
-from ..kernels.library import Kernels
-from ..numerics.random_walk import PathRandom, scattering_cosine, turned
+from ..kernels.library import call
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.spot_cone import SpotCone
 from .forward_peak import ForwardPeak
@@ -54,7 +52,6 @@ class LampInCells:
 def peak_light(
     lamp: LampInCells,
     peak: ForwardPeak,
-    kernels: Kernels | None = None,
     cancel: CancelToken = NEVER,
     photons: int = PHOTONS,
 ) -> np.ndarray:
@@ -73,10 +70,7 @@ def peak_light(
     for first in range(0, len(starts), PHOTONS_PER_CALL):
         cancel.check()
         some = slice(first, first + PHOTONS_PER_CALL)
-        if kernels is None:
-            _follow(lamp, peak, starts[some], numbers[some], sums)
-        else:
-            _follow_compiled(kernels, lamp, peak, starts[some], numbers[some], sums)
+        _follow(lamp, peak, starts[some], numbers[some], sums)
     light = _smoothed(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), lamp.closed is None)
     light *= np.float32(power)
     return light
@@ -96,11 +90,13 @@ def _first_collisions(counts: np.ndarray, corner: tuple[int, ...]) -> tuple[np.n
     return starts, ((((x << 12) + y << 12) + z << 24).reshape(-1))[starts] + index
 
 
-def _follow_compiled(
-    kernels: Kernels, lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: np.ndarray, sums: np.ndarray
-) -> None:
-    """As `_follow`."""
-    data = PeakPhotons(
+def _follow(lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: np.ndarray, sums: np.ndarray) -> None:
+    """Add the flights of photons to sums (x, y, z, SUMS).
+
+    starts: int64 (N,), cells where they scatter first, by flat number. numbers: int64 (N,), of the photons.
+    """
+    call(
+        "follow_peak",
         shape=np.array(lamp.depth.shape),
         depth=np.ascontiguousarray(lamp.depth, np.float32),
         closed=None if lamp.closed is None else np.ascontiguousarray(lamp.closed, np.uint8),
@@ -117,73 +113,6 @@ def _follow_compiled(
         albedo=lamp.albedo,
         sums=sums,
     )
-    kernels.prepare("follow_peak", data)
-
-
-def _follow(lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: np.ndarray, sums: np.ndarray) -> None:
-    """Add the flights of photons to sums (x, y, z, SUMS).
-
-    starts: int64 (N,), cells where they scatter first, by flat number. numbers: int64 (N,), of the photons.
-    """
-    shape, all_photons = lamp.depth.shape, np.arange(len(starts))
-    random = PathRandom(numbers)
-    cell = np.stack(np.unravel_index(starts, shape), axis=1)
-    place = cell + np.stack([random.draw(all_photons) for _ in range(3)], axis=1)
-    along = place - lamp.place
-    along /= np.maximum(np.sqrt((along**2).sum(axis=1)), 1e-30)[:, None]
-    if lamp.cone is not None:
-        # Of the cells that the lamp stands in the middle of, all parts count as lit.
-        along = lamp.cone.turned(along)
-    weight, left = np.ones(len(starts)), np.zeros(len(starts))
-    flat, depth = sums.reshape(-1, SUMS), lamp.depth.astype(np.float64)
-    alive, scatters = all_photons, all_photons
-    for _ in range(MOST_COLLISIONS * sum(shape)):
-        stay = _scatter(along, left, random, peak, scatters)
-        alive = np.setdiff1d(alive, scatters[~stay], assume_unique=True)
-        if not len(alive):
-            return
-        d, x, at = along[alive], place[alive], cell[alive]
-        rises, moves = d > 0.0, np.abs(d) > 1e-12
-        ways = np.where(moves, (at + rises - x) * (1.0 / np.where(moves, d, 1.0)), np.inf)
-        axis = ways.argmin(axis=1)
-        way = np.maximum(ways[np.arange(len(alive)), axis], 0.0)
-        rate = depth[tuple(at.T)]
-        collides = rate * way >= left[alive]
-        way[collides] = left[alive][collides] / rate[collides]
-        added = weight[alive] * way
-        values = np.concatenate([added[:, None], added[:, None] * d, (added**2)[:, None]], axis=1)
-        np.add.at(flat, np.ravel_multi_index(tuple(at.T), shape), values.astype(np.float32))
-        place[alive] += d * way[:, None]
-        scatters = alive[collides]
-        weight[scatters] *= lamp.albedo
-        on, turn = alive[~collides], axis[~collides]
-        left[on] -= (rate * way)[~collides]
-        up = along[on, turn] > 0.0
-        open_ = np.ones(len(on), bool)
-        if lamp.closed is not None:
-            # Of the cell on the lower side of the face; faces of the cube are left, whatever is said of them.
-            lower = cell[on].copy()
-            lower[np.arange(len(on)), turn] -= ~up
-            within = (lower >= 0).all(axis=1)
-            open_[within] = lamp.closed[(turn[within], *lower[within].T)] == 0
-        cell[on, turn] += np.where(up, 1, -1)
-        inside = open_ & ((cell[on] >= 0) & (cell[on] < shape)).all(axis=1)
-        alive = np.sort(np.concatenate([on[inside], scatters]))
-
-
-def _scatter(
-    along: np.ndarray, left: np.ndarray, random: PathRandom, peak: ForwardPeak, which: np.ndarray
-) -> np.ndarray:
-    """Scatter some photons: turn them and draw the optical depths to their next collisions; whether by small angles."""
-    g, reduced = peak.anisotropy, peak.reduced
-    u, angle = random.draw(which), 2.0 * np.pi * random.draw(which)
-    cosine = scattering_cosine(g, u)
-    whole = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5
-    wide = peak.wide * (1.0 - reduced**2) / (1.0 + reduced**2 - 2.0 * reduced * cosine) ** 1.5
-    stay = random.draw(which) * whole >= wide
-    along[which] = turned(along[which], cosine, angle)
-    left[which] = -np.log(1.0 - random.draw(which))
-    return stay
 
 
 def _smoothed(sums: np.ndarray, open_: bool) -> np.ndarray:

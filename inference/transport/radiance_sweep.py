@@ -3,8 +3,7 @@
 
 import numpy as np
 
-from ..kernels.field_structures import RadianceSweep
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..runtime.cancellation import NEVER, CancelToken
 
 # Lower bound of the optical thickness of a cell.
@@ -17,12 +16,11 @@ def sweep_radiance(
     cell: float,
     face: int,
     cancel: CancelToken = NEVER,
-    kernels: Kernels | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fluence (x, y, z) and flux (3, x, y, z) of light that is emitted and attenuated, without scattering.
 
     extinction, emission: (x, y, z), of cells of edge `cell`; emission is radiance per unit of length. face: directions
-    along an edge of each face of a cube, an even number. kernels: compiled ones, or None. Conserves energy: a cell
+    along an edge of each face of a cube, an even number. Conserves energy: a cell
     absorbs its extinction times its fluence. Raises Cancelled.
     """
     swept = np.zeros((4, *extinction.shape))
@@ -36,11 +34,7 @@ def sweep_radiance(
             flips = (slice(None), *(slice(None, None, -1 if sign else 1) for sign in signs))
             unit = np.insert(slopes, axis, 1.0, axis=1) * np.where(signs, -1.0, 1.0) / lengths[kinds][:, None]
             gather = weights[:, None] * np.insert(unit, 0, 1.0, axis=1)
-            if kernels is None:
-                turned = [np.moveaxis(values[flips], 1 + axis, 1) for values in cells]
-                _follow(turned, slopes, kinds, gather, np.moveaxis(swept[flips], 1 + axis, 1))
-            else:
-                _follow_compiled(kernels, cells, slopes, kinds, gather, swept, flips, axis)
+            _follow(cells, slopes, kinds, gather, swept, flips, axis)
     return swept[0], swept[1:]
 
 
@@ -58,25 +52,6 @@ def _cells(extinction: np.ndarray, emission: np.ndarray, lengths: np.ndarray) ->
 
 
 def _follow(
-    cells: list[np.ndarray], slopes: np.ndarray, kinds: np.ndarray, gather: np.ndarray, swept: np.ndarray
-) -> None:
-    """Add the light along directions with slopes (n, 2) to `swept`, (4, slices, b, c).
-
-    cells: from `_cells`. kinds: (n,), which of them each direction meets. gather: (n, 4), weights of radiance in sums.
-    """
-    f, g = (slopes[:, i, None, None] for i in range(2))
-    light = np.zeros((len(slopes), *swept.shape[2:]))
-    for k in range(swept.shape[1]):
-        passed, mean, given, added = (values[kinds, k] for values in cells)
-        moved = np.pad(light, [(0, 0), (1, 0), (1, 0)])
-        moved = moved[:, 1:] * (1.0 - f) + moved[:, :-1] * f
-        moved = moved[:, :, 1:] * (1.0 - g) + moved[:, :, :-1] * g
-        light = moved * passed + given
-        swept[:, k] += np.tensordot(gather.T, moved * mean + added, 1)
-
-
-def _follow_compiled(
-    kernels: Kernels,
     cells: list[np.ndarray],
     slopes: np.ndarray,
     kinds: np.ndarray,
@@ -85,27 +60,29 @@ def _follow_compiled(
     flips: tuple[slice, ...],
     axis: int,
 ) -> None:
-    """As `_follow`, for cells and sums that are not turned: flips and axis say how."""
+    """Add the light along directions with slopes (n, 2) to `swept`, (4, x, y, z).
+
+    cells: from `_cells`. kinds: (n,), which of them each direction meets. gather: (n, 4), weights of radiance in sums.
+    flips, axis: how the cells are turned such that the directions rise along all axes, and most along the first.
+    """
     turned = np.moveaxis(swept[flips], 1 + axis, 1)[0]
     passed, mean, given, added = cells
-    kernels.prepare(
+    call(
         "sweep_radiance",
-        RadianceSweep(
-            shape=np.array(turned.shape),
-            strides=np.array(turned.strides) // turned.itemsize,
-            directions=len(slopes),
-            slopes=slopes,
-            weights=gather,
-            kinds=kinds.astype(np.int64),
-            passed=passed,
-            mean=mean,
-            given=given,
-            added=added,
-            cells=turned.size,
-            first=(turned.ctypes.data - swept.ctypes.data) // turned.itemsize,
-            fluence=tuple(swept),
-            scratch=np.empty(2 * (turned.shape[1] + 1) * (turned.shape[2] + 1)),
-        ),
+        shape=np.array(turned.shape),
+        strides=np.array(turned.strides) // turned.itemsize,
+        directions=len(slopes),
+        slopes=slopes,
+        weights=gather,
+        kinds=kinds.astype(np.int64),
+        passed=passed,
+        mean=mean,
+        given=given,
+        added=added,
+        cells=turned.size,
+        first=(turned.ctypes.data - swept.ctypes.data) // turned.itemsize,
+        fluence=tuple(swept),
+        scratch=np.empty(2 * (turned.shape[1] + 1) * (turned.shape[2] + 1)),
     )
 
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from ..grids.grid import Grid
 from ..grids.merge import resampled
-from ..kernels.library import Kernels
 from ..numerics.interpolation import sample_padded
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium
@@ -42,7 +41,7 @@ Solved = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 class ScatteredEmission:
     """Fluence and flux of the light that some volumes emit, in three colour channels.
 
-    grids, media: Grid and Medium of each volume. kernels: compiled ones, or None. thickest: largest reduced optical
+    grids, media: Grid and Medium of each volume. thickest: largest reduced optical
     thickness of a cell. Raises Cancelled.
     """
 
@@ -51,9 +50,7 @@ class ScatteredEmission:
         grids: Sequence[Grid],
         media: Sequence[Medium],
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> None:
-        self.kernels = kernels
         corners = np.concatenate([grid.corners() for grid in grids])
         low, high = corners.min(axis=0), corners.max(axis=0)
         self.edge = float((high - low).max())
@@ -62,9 +59,9 @@ class ScatteredEmission:
         self.first = 0.5 * (low + high) - 0.5 * (shape - 1) * self.cell
         frame = np.diag([*[self.cell] * 3, 1.0])
         frame[:3, 3] = self.first
-        densities = [resampled(grid, grid.density, frame, shape, cancel, kernels).astype(np.float64) for grid in grids]
+        densities = [resampled(grid, grid.density, frame, shape, cancel).astype(np.float64) for grid in grids]
         scattered = [
-            [resampled(grid, part, frame, shape, cancel, kernels).astype(np.float64) for part in grid.scattering]
+            [resampled(grid, part, frame, shape, cancel).astype(np.float64) for part in grid.scattering]
             for grid in grids
         ]
         solved: list[Solved] = []
@@ -81,7 +78,7 @@ class ScatteredEmission:
             for grid, medium in zip(grids, media):
                 if grid.emission:
                     emission += medium.emission * resampled(
-                        grid, grid.emission[c], frame, shape, cancel, kernels, grid.emission_power
+                        grid, grid.emission[c], frame, shape, cancel, grid.emission_power
                     )
             self.fields.append(self._field(solved, np.maximum(extinction - scattering, 0.0), reduced, emission, cancel))
 
@@ -117,16 +114,16 @@ class ScatteredEmission:
         diffusion = 1.0 / (3.0 * extinction + THIN / self.edge)
         diagonal, couplings = equation = couple(diffusion, self.cell)
         diagonal += absorption * self.cell**2
-        direct, direct_flux = sweep_radiance(extinction, emission, self.cell, DIRECT, cancel, self.kernels)
+        direct, direct_flux = sweep_radiance(extinction, emission, self.cell, DIRECT, cancel)
         # Before the first round only the direct light is known.
         scattered, flux, missing = np.zeros_like(direct), np.zeros_like(direct_flux), direct
         for number in range(ROUNDS):
             if number:
                 source = reduced * (direct + scattered) / (4.0 * np.pi)
                 before = scattered
-                scattered, flux = sweep_radiance(extinction, source, self.cell, SCATTERED, cancel, self.kernels)
+                scattered, flux = sweep_radiance(extinction, source, self.cell, SCATTERED, cancel)
                 missing = scattered - before
-            more = solve(equation, reduced * missing * self.cell**2, -np.inf, kernels=self.kernels, cancel=cancel)
+            more = solve(equation, reduced * missing * self.cell**2, -np.inf, cancel=cancel)
             scattered = scattered + more
             for axis in range(3):
                 if more.shape[axis] > 1:

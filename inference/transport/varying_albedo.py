@@ -18,7 +18,6 @@ import numpy as np
 
 from ..grids.halving import halve
 from ..grids.working_cube import Cube, level0_density
-from ..kernels.library import Kernels
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from .discrete_ordinates import DiscreteOrdinates
@@ -54,15 +53,14 @@ class CoarseAlbedo:
         cube: Cube,
         coarse: np.ndarray,
         cancel: CancelToken = NEVER,
-        kernels: Kernels | None = None,
     ) -> None:
-        """coarse: the density on these cells or on smaller ones. kernels: compiled ones, or None."""
+        """coarse: the density on these cells or on smaller ones."""
         assert volume.scattering is not None
-        self.density, self.kernels = _cells(coarse, kernels), kernels
+        self.density = _cells(coarse)
         self.channels = []
         for grid in volume.scattering:
             part = Volume(grid, volume.world_from_index, volume.name)
-            scattering = _cells(level0_density(part, cube, cancel, kernels), kernels)
+            scattering = _cells(level0_density(part, cube, cancel))
             albedo = np.divide(scattering, self.density, out=np.zeros_like(scattering), where=self.density > 0.0)
             self.channels.append(np.clip(albedo, 0.0, 1.0))
         filled = self.density > NEGLIGIBLE * self.density.max()
@@ -73,7 +71,7 @@ class CoarseAlbedo:
         self, sigma_hat: float, anisotropy: float, triangles: np.ndarray | None, albedo: float | np.ndarray
     ) -> DiscreteOrdinates:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
-        return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, self.kernels, albedo)
+        return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, albedo)
 
     def places(self, solver_of: Callable[..., DiscreteOrdinates], fluence: FluenceOf) -> np.ndarray:
         """Where the albedo lies among those enclosing it, seen through all scattering, in [0, L - 1].
@@ -113,11 +111,11 @@ def _enclosing(ends: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
     return uniform, [own if some else np.searchsorted(uniform, end[1:]) for some, end in zip(varies, ends)]
 
 
-def _cells(values: np.ndarray, kernels: Kernels | None) -> np.ndarray:
+def _cells(values: np.ndarray) -> np.ndarray:
     """Means over CELLS cells along an edge."""
     while len(values) > CELLS:
         means = np.empty([n // 2 for n in values.shape], np.float32)
-        halve(np.ascontiguousarray(values, np.float32), means, kernels)
+        halve(np.ascontiguousarray(values, np.float32), means)
         values = means
     return values
 

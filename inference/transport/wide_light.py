@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grids.held_cells import with_neighbours
-from ..kernels.field_structures import MomentSweep
-from ..kernels.library import Kernels
+from ..kernels.library import call
 from ..numerics.exponential import one_minus_exp
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..runtime.cancellation import NEVER, CancelToken
@@ -67,7 +66,6 @@ def wide_light(
     albedo: float,
     lobes: Sequence[Lobe],
     peak: ForwardPeak,
-    kernels: Kernels | None = None,
     cancel: CancelToken = NEVER,
 ) -> np.ndarray:
     """Moments float32 (16, x, y, z) of light that has scattered by a wide angle once: radiance times harmonics.
@@ -94,10 +92,7 @@ def wide_light(
             cancel.check()
             along = np.insert(slopes, axis, 1.0, axis=1) * np.where(signs, -1.0, 1.0) / lengths[:, None]
             harmonics = weights[:, None] * spherical_harmonics(along).T
-            if kernels is None:
-                _follow(cells, (axis, signs), (slopes, along, harmonics), peak)
-            else:
-                _follow_compiled(cells, (axis, signs), (slopes, along, harmonics), peak, kernels)
+            _follow(cells, (axis, signs), (slopes, along, harmonics), peak)
     return np.ascontiguousarray(np.moveaxis(swept, -1, 0))
 
 
@@ -131,31 +126,11 @@ def _follow(cells: Cells, turn: Turn, ways: Ways, peak: ForwardPeak) -> None:
     cells: transmittances and means (x, y, z, D), lobes (x, y, z, L, 5), kinds of `_held`, and moments (x, y, z, 16),
     added to. turn: the axis and the signs. ways: slopes (D, 2), unit vectors (D, 3) and weights (D, 16) of directions.
     """
-    (axis, signs), (slopes, along, harmonics) = turn, (one.astype(np.float32) for one in ways)
-    flips = tuple(slice(None, None, -1 if sign else 1) for sign in signs)
-    passed, mean, packed, held, swept = (np.moveaxis(values[flips], axis, 0) for values in cells)
-    f, g = slopes.T
-    light, last = np.zeros((*packed.shape[1:3], len(slopes)), np.float32), np.float32(peak.table.shape[1] - 1)
-    for k in range(len(packed)):
-        cosine = np.einsum("abln,dn->abld", packed[k, ..., 1:4], along)
-        column = (np.clip((cosine + 1.0) * (np.float32(0.5) * last), 0.0, last) + np.float32(0.5)).astype(np.int32)
-        phases = peak.table[packed[k, ..., 4, None].astype(np.int32), column]
-        source = (phases * packed[k, ..., 0, None]).sum(axis=2)
-        moved = np.pad(light, [(1, 0), (1, 0), (0, 0)])
-        moved = moved[1:] * (1.0 - f) + moved[:-1] * f
-        moved = moved[:, 1:] * (1.0 - g) + moved[:, :-1] * g
-        rise = moved - source
-        filled, kept = (held[k] == FILLED)[..., None], (held[k] != EMPTY)[..., None]
-        light = np.where(filled, source + rise * passed[k], moved)
-        swept[k] += np.where(kept, np.where(filled, source + rise * mean[k], moved), 0.0) @ harmonics
-
-
-def _follow_compiled(cells: Cells, turn: Turn, ways: Ways, peak: ForwardPeak, kernels: Kernels) -> None:
-    """As `_follow`."""
     (passed, mean, packed, held, swept), (axis, signs), (slopes, along, harmonics) = cells, turn, ways
     flips = tuple(slice(None, None, -1 if sign else 1) for sign in signs)
     turned = np.moveaxis(held[flips], axis, 0)
-    data = MomentSweep(
+    call(
+        "sweep_moments",
         shape=np.array(turned.shape),
         strides=np.array(turned.strides),
         first=turned.ctypes.data - held.ctypes.data,
@@ -173,4 +148,3 @@ def _follow_compiled(cells: Cells, turn: Turn, ways: Ways, peak: ForwardPeak, ke
         moments=swept,
         scratch=np.empty(2 * len(slopes) * (turned.shape[1] + 1) * (turned.shape[2] + 1), np.float32),
     )
-    kernels.prepare("sweep_moments", data)

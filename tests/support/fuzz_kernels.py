@@ -25,10 +25,10 @@ from inference.grids.resampling import Placement, resample
 from inference.grids.sparse_columns import SparseColumns
 from inference.grids.sun_optical_depth import SunOpticalDepth
 from inference.grids.working_cube import Cube, level0_density
-from inference.kernels.field_structures import LatticePart
-from inference.kernels.library import Kernels
-from inference.marching.compiled_march import CompiledMarch
+from inference.kernels import library
+from inference.kernels.library import Kernels, call
 from inference.marching.light_paths import PathTracer, ScatteringMedia
+from inference.marching.marcher import Marcher
 from inference.marching.ray_steps import RayBatch
 from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.occluders.lamp_shadow_map import LampShadowMap
@@ -121,10 +121,10 @@ def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
     return RayBatch(*arrays, detail)
 
 
-def march(kernels: Kernels, random: np.random.Generator) -> None:
+def march(random: np.random.Generator) -> None:
     """Rays through a scene of any kind."""
-    scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8, kernels)
-    march = CompiledMarch(kernels, scene.media, scene.options, scene.channels, ctypes.c_int32(0), scene.lamps)
+    scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8)
+    march = Marcher(scene.media, scene.options, scene.channels, ctypes.c_int32(0), scene.lamps)
     for array in contents(scene):
         if random.random() < 0.6:
             spoil(random, array)
@@ -169,29 +169,29 @@ def spoil_blocks(random: np.random.Generator, grid: DenseGrid | SparseGrid) -> N
         spoil(random, grid.table)
 
 
-def columns(kernels: Kernels, random: np.random.Generator) -> None:
+def columns(random: np.random.Generator) -> None:
     """Columns along a sun's rays, and depths at cells."""
     grid, towards = random_grid(random), direction(random)
     spoil_blocks(random, grid)
-    SunOpticalDepth(grid, towards, kernels=kernels)
+    SunOpticalDepth(grid, towards)
     if isinstance(grid, DenseGrid):
-        sun_optical_depth(grid.padded, towards, 0.1, kernels)
+        sun_optical_depth(grid.padded, towards, 0.1)
 
 
-def transport(kernels: Kernels, random: np.random.Generator) -> None:
+def transport(random: np.random.Generator) -> None:
     """Light on coarse cells."""
     n = int(random.choice([4, 6, 8, 16]))
     triangles = random.normal(size=(3, 3, 3)) * 0.3 if random.random() < 0.5 else None
     density, sigma = spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0))
-    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles, kernels).light(direction(random))
+    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles).light(direction(random))
     shape = tuple(random.integers(1, 12, 3).tolist())
     extinction, emission = (spoiled(random, shape, np.float64) for _ in range(2))
-    sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])), kernels=kernels)
+    sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])))
     equation = couple(spoiled(random, shape, np.float64), 0.1)
-    solve(equation, spoiled(random, shape, np.float64), kernels=kernels)
+    solve(equation, spoiled(random, shape, np.float64))
 
 
-def pyramid(kernels: Kernels, random: np.random.Generator) -> None:
+def pyramid(random: np.random.Generator) -> None:
     """Means over cells, their levels, and lattices made of them."""
     grid, matrix = random_grid(random), np.diag([*random.uniform(0.5, 2.0, 3), 1.0])
     if random.random() < 0.3:
@@ -202,16 +202,17 @@ def pyramid(kernels: Kernels, random: np.random.Generator) -> None:
     density = grid if isinstance(grid, SparseGrid) else np.ascontiguousarray(grid.padded[1:-2, 1:-2, 1:-2])
     volume = SimpleNamespace(density=density, world_from_index=matrix)
     cube = Cube(np.eye(3), random.normal(size=3), float(random.uniform(0.1, 3.0) * shape.max()), 0 * shape, shape)
-    level = level0_density(volume, cube, kernels=kernels)
+    level = level0_density(volume, cube)
     part = level[:14, :18, :10] if random.random() < 0.5 else spoiled(random, (14, 18, 10))
-    halve(part, np.empty((7, 9, 5), np.float32), kernels)
+    halve(part, np.empty((7, 9, 5), np.float32))
     source, fine = tuple(random.integers(2, 9, 3).tolist()), tuple(random.integers(1, 20, 3).tolist())
     between = Between.of([random.uniform(-3.0, 12.0, n) for n in fine], source)
     grids = [between.described(spoiled(random, source) if random.random() < 0.8 else None) for _ in range(3)]
     scales = 10.0 ** random.uniform(-6.0, 6.0, 3)
     scratch = np.empty(2 * fine[2] + source[2], np.float32)
     packed = np.empty((*fine, 2), np.uint16)
-    data = LatticePart(
+    call(
+        "fill_lattice",
         shape=np.array(fine),
         density=grids[0],
         depth=grids[1],
@@ -224,10 +225,9 @@ def pyramid(kernels: Kernels, random: np.random.Generator) -> None:
         columns=2,
         scratch=scratch,
     )
-    kernels.prepare("fill_lattice", data)
 
 
-def resampling(kernels: Kernels, random: np.random.Generator) -> None:
+def resampling(random: np.random.Generator) -> None:
     """Values of a grid at other voxels, anywhere."""
     grid = random_grid(random)
     filled, peaks = random.random(grid.cells().shape) < 0.7, grid.cell_peaks()
@@ -245,21 +245,20 @@ def resampling(kernels: Kernels, random: np.random.Generator) -> None:
         Occupancy(filled, peaks, grid.CELL, grid.cells_first),
         placement,
         out,
-        kernels=kernels,
     )
 
 
-def lamps(kernels: Kernels, random: np.random.Generator) -> None:
+def lamps(random: np.random.Generator) -> None:
     """Optical depths around a lamp, at points anywhere, and its light in coarse cells."""
     grid, linear = random_grid(random), np.diag(random.uniform(1.0, 40.0, 3))
     if random.random() < 0.3:
         linear += random.normal(size=(3, 3))
-    # The density within spheres is read without kernels.
+    # The density within spheres is read by numpy.
     radius = random.choice([0.0, random.uniform(0.0, 1.0)])
     if not radius:
         spoil_blocks(random, grid)
     source = LampSource(*random.normal(size=(2, 3)), radius, random.random() < 0.5)
-    depth = LampOpticalDepth(grid, linear, random.normal(size=3), source, kernels=kernels)
+    depth = LampOpticalDepth(grid, linear, random.normal(size=3), source)
     if radius:
         spoil_blocks(random, grid)
     for pyramid in depth.pyramids:
@@ -275,50 +274,48 @@ def lamps(kernels: Kernels, random: np.random.Generator) -> None:
         shadow_maps = [LampShadowMap(roof, emitter.position, 32) for emitter in emitters]
         spoil(random, shadow_maps[0].distances)
     n = int(random.choice([4, 8, 16]))
-    solver = DiscreteOrdinates(spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0)), 0.3, None, kernels)
+    solver = DiscreteOrdinates(spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0)), 0.3, None)
     LampInCube(emitters, cube, shadow_maps, b"", random.normal(size=3))(solver)
 
 
-def gathering(kernels: Kernels, random: np.random.Generator) -> None:
+def gathering(random: np.random.Generator) -> None:
     """Light gathered around camera rays, at points anywhere."""
     n, m, count = (int(random.integers(1, most)) for most in (24, 12, 40))
     density, depth = (spoiled(random, (n, n, n)) for _ in range(2))
     medium = float(10.0 ** random.uniform(-3.0, 8.0)), float(random.uniform(-0.99, 0.99))
-    gather = FinalGather.of(density, depth, spoiled(random, (m, m, m, 4)), medium, kernels)
+    gather = FinalGather.of(density, depth, spoiled(random, (m, m, m, 4)), medium)
     gather(spoiled(random, (count, 3)), spoiled(random, (count, 3, 3)))
 
 
-def nearby(kernels: Kernels, random: np.random.Generator) -> None:
+def nearby(random: np.random.Generator) -> None:
     """Light of a lamp nearby at points anywhere."""
     n, count, places = int(random.integers(2, 12)), int(random.integers(1, 40)), int(random.integers(1, 9))
     lattice = FluenceLattice(spoiled(random, (n, n, n, 20)))
     anisotropy = float(random.choice([-1.0, 1.0]) * random.uniform(0.05, 0.99))
-    lamp = LampNearby(
-        1.0, {0.9: (lattice, 2.0)}, anisotropy, lattice, (np.full(3, -0.5), np.full(3, 0.5)), None, kernels
-    )
+    lamp = LampNearby(1.0, {0.9: (lattice, 2.0)}, anisotropy, lattice, (np.full(3, -0.5), np.full(3, 0.5)), None)
     way = Way(*(spoiled(random, (places, count)) for _ in range(2)))
     light = LampAtPoints(spoiled(random, (count, 3)), *(spoiled(random, (count,)) for _ in range(3)), way)
     lamp.radiance(0.9, spoiled(random, (count, 3)), spoiled(random, (count, 3)), light)
 
 
-def scattering(kernels: Kernels, random: np.random.Generator) -> None:
+def scattering(random: np.random.Generator) -> None:
     """Light that scatters in cells around a lamp."""
     shape = tuple(random.integers(1, 12, 3).tolist())
     peak = forward_peak(float(random.uniform(-0.99, 0.99)))
     closed = (random.random((3, *shape)) < 0.2).astype(np.uint8) if random.random() < 0.5 else None
     lamp = LampInCells(spoiled(random, shape), spoiled(random, shape), random.normal(size=3) * 10.0, closed, 0.9)
-    peak_light(lamp, peak, kernels, photons=300)
+    peak_light(lamp, peak, photons=300)
     lobes = [Lobe(spoiled(random, shape), spoiled(random, (3, *shape)), float(random.random())) for _ in range(2)]
-    wide_light(spoiled(random, shape), 0.9, lobes, peak, kernels)
+    wide_light(spoiled(random, shape), 0.9, lobes, peak)
 
 
-def paths(kernels: Kernels, random: np.random.Generator) -> None:
+def paths(random: np.random.Generator) -> None:
     """Light paths through a scene of any kind, from anywhere."""
     recipe = replace(random_recipe(random), lamps=(), suns=1, features=False, shadows=False)
-    scene = random_scene(int(random.integers(1 << 32)), recipe, 4, kernels)
+    scene = random_scene(int(random.integers(1 << 32)), recipe, 4)
     for medium in scene.media:
         medium.medium.anisotropy = float(random.uniform(-0.999, 0.999))
-    tracer = PathTracer(ScatteringMedia(scene.media, scene.channels), kernels)
+    tracer = PathTracer(ScatteringMedia(scene.media, scene.channels))
     for array in [*contents(scene), *(majorants.peaks for majorants in tracer.majorants)]:
         if random.random() < 0.6:
             spoil(random, array)
@@ -327,23 +324,24 @@ def paths(kernels: Kernels, random: np.random.Generator) -> None:
     tracer.trace(rays, numbers, 3)
 
 
-def products(kernels: Kernels, random: np.random.Generator) -> None:
+def products(random: np.random.Generator) -> None:
     """Matrices of any size and contents."""
     rows, inner, columns = random.integers(0, 60, 3).tolist()
-    Weights(spoiled(random, (inner, columns)), kernels).product(spoiled(random, (rows, inner)))
+    Weights(spoiled(random, (inner, columns))).product(spoiled(random, (rows, inner)))
 
 
 KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering, paths, products)
 
 
-def fuzz(library: str, seconds: float, seed: int) -> int:
+def fuzz(path: str, seconds: float, seed: int) -> int:
     """Run as many cases as fit in the time, of each kind in turn; returns how many."""
     # Cells of the working cube: few, so that many cases fit.
     working_cube.LEVEL0_CELLS = CELLS
-    kernels, end, count = Kernels(library), time.monotonic() + seconds, 0
+    kernels, end, count = Kernels(path), time.monotonic() + seconds, 0
+    library.load_kernels = lambda: kernels
     with np.errstate(all="ignore"):
         while time.monotonic() < end:
-            KINDS[count % len(KINDS)](kernels, np.random.default_rng(seed + count))
+            KINDS[count % len(KINDS)](np.random.default_rng(seed + count))
             count += 1
     return count
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Random scenes for camera rays: media bound to grids, lamps, and rays through them."""
 
+from collections.abc import Sequence
+from ctypes import c_int32
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,11 +10,10 @@ import numpy as np
 from inference import AreaLight, Medium, PointLight, SpotLight, Surface, Volume
 from inference.grids.bound_medium import BoundMedium, scattering_channels
 from inference.grids.grid import Grid
-from inference.kernels.library import Kernels
 from inference.marching.lamp_in_media import place_lamp
-from inference.marching.lamp_march import LampMarch
+from inference.marching.marcher import Marcher
 from inference.marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
-from inference.marching.ray_march import MarchOptions
+from inference.marching.ray_march import LampMarch, MarchOptions, RaySegment
 from inference.marching.ray_steps import RayBatch
 from inference.occluders.shadow_map import ShadowMap
 from inference.runtime.tasks import SERIAL
@@ -104,8 +105,8 @@ def random_density(random: np.random.Generator, shape: tuple[int, int, int], kin
     return density.astype(np.float32)
 
 
-def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | None = None) -> MarchScene:
-    """A scene that a seed and a recipe determine; kernels: that prepare lamps, or None."""
+def random_scene(seed: int, recipe: Recipe, rays: int = 64) -> MarchScene:
+    """A scene that a seed and a recipe determine."""
     random = np.random.default_rng(seed)
     directions = random.normal(size=(recipe.suns, 3))
     # Also along an axis of the voxels.
@@ -136,14 +137,14 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64, kernels: Kernels | N
         scattering=scattering_channels(media, channels),
         most_detail=recipe.detail,
     )
-    lamps = _lamps(random, recipe, media, kernels) if recipe.lamps else None
+    lamps = _lamps(random, recipe, media) if recipe.lamps else None
     return MarchScene(media, options, channels, batch, lamps)
 
 
-def _lamps(random: np.random.Generator, recipe: Recipe, media: list[BoundMedium], kernels: Kernels | None) -> LampMarch:
+def _lamps(random: np.random.Generator, recipe: Recipe, media: list[BoundMedium]) -> LampMarch:
     surfaces = [Surface(random.normal(size=(2, 3, 3)) * 0.5)] if recipe.shadows else []
     grids = [medium.grid for medium in media]
-    lamps = [place_lamp(random_lamp(random, kind), grids, surfaces, kernels=kernels) for kind in recipe.lamps]
+    lamps = [place_lamp(random_lamp(random, kind), grids, surfaces) for kind in recipe.lamps]
     fluence = None
     if recipe.features:
         groups = recipe.groups or [[v] for v in range(recipe.volumes)]
@@ -228,3 +229,8 @@ def _rays(random: np.random.Generator, recipe: Recipe, media: list[BoundMedium],
         near[met], far[met] = np.minimum(near[met], enter[met]), np.maximum(far[met], leave[met])
     hit = np.flatnonzero(near < far)[:count]
     return RayBatch(origins[hit], directions[hit], near[hit], far[hit])
+
+
+def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
+    """What rays gather, without emission."""
+    return Marcher(media, options, (), c_int32(0))(rays)

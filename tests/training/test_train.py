@@ -19,7 +19,7 @@ from inference.features.stencil import SPARSE, frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
-from inference.marching.ray_march import ray_features_at
+from inference.marching.marcher import ray_features_at
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
 from training import evaluate, export, memory, train

@@ -29,7 +29,6 @@ import numpy as np
 from inference.features.mip_lattices import density_pyramid, padded_levels
 from inference.features.stencil import LOW_POINTS, SPARSE
 from inference.grids.working_cube import fit_cube, level0_density
-from inference.kernels.library import Kernels, Unavailable, load_kernels
 from inference.network.environment_features import probe_positions
 from inference.transport.discrete_ordinates import LEVEL
 from inference.transport.environment_light import (
@@ -55,31 +54,24 @@ SIGMA_HAT_RANGE = (2.0, 1500.0)
 ENVIRONMENTS, MEDIA, POINTS, PATHS = 6, 5, 1536, 96
 
 
-def transport_rows(pyramid, positions, omega, sigma_hat, anisotropy, radiance, kernels=None):
+def transport_rows(pyramid, positions, omega, sigma_hat, anisotropy, radiance):
     """The arrays depths, light and absorbed of points in the cube's frame.
 
-    pyramid: of the density. radiance: (26, ENVIRONMENTS). kernels: compiled ones, or None.
+    pyramid: of the density. radiance: (26, ENVIRONMENTS).
     """
     coarse = pyramid[LEVEL]
-    depths = OpenDepths(pyramid[:2], direction_depths(coarse, kernels=kernels), kernels)(positions)
+    depths = OpenDepths(pyramid[:2], direction_depths(coarse))(positions)
     probes, count = probe_positions(positions, omega, depths, sigma_hat), radiance.shape[1]
     light = np.empty((len(positions), count, probes.shape[1], 4), np.float16)
     absorbed = np.empty((len(positions), count + 1, probes.shape[1], len(ALBEDOS), 4), np.float16)
     for thickness, g in np.unique(np.stack([sigma_hat, anisotropy], axis=1), axis=0):
         own = np.flatnonzero((sigma_hat == thickness) & (anisotropy == g))
-        lattices = solve_environment(coarse, thickness, g, radiance, kernels=kernels)
+        lattices = solve_environment(coarse, thickness, g, radiance)
         shape = *probes[own].shape[:2], 4
         scattered, seldom = (read_lattice(lattice, probes[own].reshape(-1, 3)) for lattice in lattices)
         light[own] = np.moveaxis(scattered.reshape(*shape, count), 3, 1)
         absorbed[own] = np.moveaxis(seldom.reshape(*shape, len(ALBEDOS), count + 1), (4, 3), (1, 3))
     return depths, light, absorbed
-
-
-def _kernels() -> Kernels | None:
-    try:
-        return load_kernels()
-    except Unavailable:
-        return None
 
 
 def make_rows(seed: int, sigma_hat_range: tuple[float, float] = SIGMA_HAT_RANGE) -> dict:
@@ -105,7 +97,7 @@ def make_rows(seed: int, sigma_hat_range: tuple[float, float] = SIGMA_HAT_RANGE)
 
     x, w, sigma_hat = cube.positions(positions), cube.directions(omega), sigma * cube.edge
     pyramid = density_pyramid(level0_density(volume, cube))
-    depths, light, absorbed = transport_rows(pyramid, x, w, sigma_hat, anisotropy, radiance, _kernels())
+    depths, light, absorbed = transport_rows(pyramid, x, w, sigma_hat, anisotropy, radiance)
     stencil = load_stencil()
     padded = padded_levels(pyramid, stencil)
     up = np.array([0.0, 0.0, 1.0])

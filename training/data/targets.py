@@ -37,9 +37,8 @@ from inference.features.stencil import frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube, level0_density
-from inference.kernels.library import load_kernels
+from inference.marching.marcher import ray_features_at
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
-from inference.marching.ray_march import ray_features_at
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
 from inference.transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
@@ -183,18 +182,16 @@ def describe_light(volume, cube, pyramid, suns, media, points: ScatteringPoints)
     ray = np.empty((len(x), len(suns), RAY_COLUMNS), np.float32)
     around = np.empty((len(x), len(suns), AROUND_COLUMNS), np.float32)
     gathered = np.empty((len(x), len(suns), DIRECTIONS, VALUES), np.float32)
-    kernels, fine = load_kernels(), pyramid[GATHER_LEVEL]
-    shadows = [unit_sun_depth(fine, sun, kernels) for sun in l]
+    fine = pyramid[GATHER_LEVEL]
+    shadows = [unit_sun_depth(fine, sun) for sun in l]
     for number in np.unique(points.medium):
         sigma, anisotropy = media[number]
         own = np.flatnonzero(points.medium == number)
-        ordinates = DiscreteOrdinates(pyramid[LEVEL], sigma * cube.edge, anisotropy, kernels=kernels)
+        ordinates = DiscreteOrdinates(pyramid[LEVEL], sigma * cube.edge, anisotropy)
         lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
         for k, values in enumerate(lattices):
             around[own, k] = FluenceLattice(values).read(x[own], w[own], l[k], anisotropy)
-            gather = FinalGather.of(
-                fine, shadows[k], fluence_and_flux(values), (sigma * cube.edge, anisotropy), kernels
-            )
+            gather = FinalGather.of(fine, shadows[k], fluence_and_flux(values), (sigma * cube.edge, anisotropy))
             gathered[own, k] = gather(x[own], frames(w[own], l[k]))
         fluence = ScatteredFluence.in_cube(cube, [fluence_and_flux(values) for values in lattices], anisotropy)
         bound = BoundMedium(grid, Medium(sigma, 1.0, anisotropy), sigma, depths)

@@ -69,10 +69,9 @@ def relative(values, truth) -> float:
     return float(np.sqrt(np.mean((values - truth) ** 2)) / truth.mean())
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_emission_at_voxel_centres_is_what_points_scatter(compiled):
+def test_emission_at_voxel_centres_is_what_points_scatter():
     volume, view = cloud(), camera()
-    [lit] = bake([(volume, MEDIUM)], [SUN], view, replace(EXACT, compiled=compiled))
+    [lit] = bake([(volume, MEDIUM)], [SUN], view, EXACT)
     positions, dense = centres(lit), lit.emission.reshape(-1, 3)
     filled = np.flatnonzero(dense.any(axis=1))
     assert len(filled) == np.count_nonzero(volume.density)

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
-from inference.scene import Medium, Volume
+from inference.scene import Volume
 
 DIRECTIONS = [(0, 0, 1), (1, 1, 1), (0.3, -0.8, 0.5), (-0.9, 0.1, 0.2), (0.5, 0.45, -0.6)]
 
@@ -78,9 +77,9 @@ def test_points_outside_see_the_sun_through_the_whole_grid(direction, thickness)
     density = gaussian_filter(random.normal(size=(24, 20, 28)), 3).astype(np.float32)
     density = np.maximum(density, 0) / density.max()
     grid = Grid(Volume(density, np.eye(4)))
-    medium = BoundMedium(grid, Medium(thickness), thickness, grid.sun_depths([direction]))
+    [depth] = grid.sun_depths([direction])
     points = random.uniform(-5.0, 30.0, size=(400, 3))
-    found = np.exp(-medium.sun_optical_depth(grid.index(points).astype(np.float32).T, 0, may_be_outside=True))
+    found = np.exp(-depth(grid.index(points).astype(np.float32).T, thickness))
     expected = np.exp(-thickness * march(density, direction, points))
     assert np.sqrt(((found - expected) ** 2).mean()) < 0.04
 
@@ -92,8 +91,8 @@ def test_interpolation_does_not_darken_rough_density(direction):
     random = np.random.default_rng(0)
     density = (random.random((30, 28, 32)) ** 8).astype(np.float32)
     grid = Grid(Volume(density, np.eye(4)))
-    medium = BoundMedium(grid, Medium(1.0), 1.0, grid.sun_depths([direction]))
+    [depth] = grid.sun_depths([direction])
     points = random.uniform(0.0, 27.0, size=(4000, 3))
-    found = np.exp(-medium.sun_optical_depth(grid.index(points).astype(np.float32).T, 0, may_be_outside=False))
+    found = np.exp(-depth(grid.index(points).astype(np.float32).T, 1.0, may_be_outside=False))
     expected = np.exp(-march(density, direction, points))
     assert found.mean() == pytest.approx(expected.mean(), rel=1e-3)

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from inference.features.mip_lattices import density_pyramid
 from inference.grids.working_cube import active_bounds, fit_cube, level0_density
-from inference.kernels.library import load_kernels
 from inference.runtime.cancellation import CancelToken
 from inference.scene import Cancelled, SceneError, Volume
 
@@ -105,5 +104,5 @@ def test_level_0_of_a_large_grid_polls_for_cancellation(shear):
 
     cube = fit_cube(volume)
     with pytest.raises(Cancelled):
-        level0_density(volume, cube, CancelToken(cancelled), load_kernels())
+        level0_density(volume, cube, CancelToken(cancelled))
     assert np.median(np.diff(asked)) < 0.2

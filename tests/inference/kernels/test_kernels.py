@@ -9,23 +9,31 @@ import shutil
 import struct
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from inference.kernels import field_structures, structures
-from inference.kernels.build import SOURCES, TARGETS, BuildError, Target, build, library_path, this_platform
+from inference import Camera, Medium, SceneError, Settings, bake, predict_multiple, render
+from inference.kernels import library, structures
+from inference.kernels.build import (
+    NATIVE,
+    SHIPPED,
+    SOURCES,
+    TARGETS,
+    BuildError,
+    Target,
+    build,
+    library_path,
+    this_platform,
+)
 from inference.kernels.library import Kernels, Unavailable, load_kernels
 from tests.support.paths import ROOT
+from tests.support.volumes import SUN, cloud
 from tests.support.windows_dlls import imports
 
 KERNELS = load_kernels()
-HEADERS = {structures: SOURCES / "kernels.h", field_structures: SOURCES / "fields.h"}
-STRUCTURES = [
-    (module, name, body)
-    for module, header in HEADERS.items()
-    for body, name in re.findall(r"typedef struct {([^}]*)} (\w+);", header.read_text())
-]
 SOURCE_FILES = [str(path) for path in sorted(SOURCES.glob("*.c"))]
 FUZZ_SECONDS = 60
 CHECKED = [
@@ -41,20 +49,73 @@ CHECKS = {
 }
 
 
-@pytest.mark.parametrize("module, name, body", STRUCTURES, ids=[name for _, name, _ in STRUCTURES])
-def test_structures_are_those_of_the_header(module, name, body):
-    body = re.sub(r"/\*.*?\*/", "", body, flags=re.DOTALL)
-    declared = [re.search(r"(\w+)(\[\w+\])?$", part.strip())[1] for part in re.split(r"[;,]", body) if part.strip()]
-    assert [field[0] for field in getattr(module, name)._fields_] == declared
+SIZES = """
+#include <stddef.h>
+#include <stdio.h>
+#include "fields.h"
+int main(void) {
+"""
 
 
-def test_interfaces_have_one_number():
-    assert int(re.search(r"MRPNN_INTERFACE (\d+)", HEADERS[structures].read_text())[1]) == structures.INTERFACE
+@pytest.mark.slow
+def test_structures_lie_in_memory_as_the_compiler_lays_them_out(tmp_path):
+    """Sizes, and the places of all fields, of every structure of the headers."""
+    if importlib.util.find_spec("ziglang") is None:
+        pytest.skip("ziglang is not installed")
+    text = "".join((SOURCES / header).read_text() for header in ("kernels.h", "fields.h"))
+    names = re.findall(r"^} (\w+);", text, re.MULTILINE)
+    assert len(names) > 30
+    lines, expected = [SIZES], []
+    for name in names:
+        structure = getattr(structures, name)
+        lines.append(f'printf("%zu\\n", sizeof({name}));')
+        expected.append(ctypes.sizeof(structure))
+        for field, *_ in structure._fields_:
+            lines.append(f'printf("%zu\\n", offsetof({name}, {field}));')
+            expected.append(getattr(structure, field).offset)
+    source = tmp_path / "sizes.c"
+    source.write_text("\n".join([*lines, "}"]))
+    command = [sys.executable, "-m", "ziglang", "cc", f"-I{SOURCES}", source, "-o", tmp_path / "sizes"]
+    subprocess.run(command, check=True)
+    found = subprocess.run([tmp_path / "sizes"], capture_output=True, text=True, check=True).stdout
+    assert [int(line) for line in found.split()] == expected
+
+
+def test_structures_take_numpy_booleans():
+    """Without the warning of numpy versions that will refuse them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert structures.LampSlices(inside=np.bool_(True)).inside == 1
+
+
+DOORS = {
+    "render": lambda: render([(cloud(2), Medium(5.0))], [SUN], CAMERA, Settings(multiple=False)),
+    "bake": lambda: bake([(cloud(2), Medium(5.0))], [SUN], CAMERA),
+    "predict_multiple": lambda: predict_multiple(cloud(2), Medium(5.0), SUN, np.zeros((1, 3)), np.eye(3)[:1]),
+}
+CAMERA = Camera(np.eye(4), resolution=(8, 8))
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_every_door_says_what_to_do_without_the_compiled_part(door, monkeypatch, tmp_path):
+    monkeypatch.setattr(library, "_kernels", None)
+    monkeypatch.setattr(library.build, "SOURCES", tmp_path)
+    with pytest.raises(SceneError, match="compiled part of the renderer cannot be used: .* is missing. Uninstall"):
+        DOORS[door]()
+
+
+@pytest.mark.slow
+def test_the_kernels_compile_natively_where_nothing_is_shipped(monkeypatch):
+    if importlib.util.find_spec("ziglang") is None:
+        pytest.skip("ziglang is not installed")
+    monkeypatch.setattr(sys, "platform", "freebsd14")
+    assert this_platform() == NATIVE
+    assert Kernels(build(NATIVE)).best == KERNELS.best
 
 
 def test_a_library_of_another_interface_is_refused(monkeypatch):
-    monkeypatch.setattr("inference.kernels.library.INTERFACE", structures.INTERFACE + 1)
-    with pytest.raises(Unavailable, match=f"interface {structures.INTERFACE} instead of {structures.INTERFACE + 1}"):
+    monkeypatch.setitem(structures._FOUND, "INTERFACE", structures.INTERFACE + 1)
+    with pytest.raises(Unavailable, match=f"interface {structures.INTERFACE - 1} instead of {structures.INTERFACE}"):
         Kernels(KERNELS.path)
 
 
@@ -74,7 +135,7 @@ def test_the_best_variant_is_what_the_processor_has():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("platform", TARGETS)
+@pytest.mark.parametrize("platform", SHIPPED)
 def test_every_platforms_library_is_built_by_one_command(platform):
     if importlib.util.find_spec("ziglang") is None and not library_path(platform).exists():
         with pytest.raises(BuildError, match="ziglang"):
@@ -96,7 +157,7 @@ def test_every_platforms_library_is_built_by_one_command(platform):
     if system == "macos":
         assert oldest_macos(library) == (11, 0)
     # Each function that Python declares.
-    names = ["interface", "best_variant", "scratch_bytes", "march", *field_structures.FUNCTIONS]
+    names = ["interface", "best_variant", "scratch_bytes", "march", *structures.FUNCTIONS]
     assert not [name for name in names if b"mrpnn_" + name.encode() not in library]
 
 
@@ -167,8 +228,3 @@ def test_every_variant_finds_known_results(platform, tmp_path):
     assert run.returncode == 0, run.stdout + run.stderr[-2000:]
     variants = KERNELS.best + 1 if platform.endswith("x64") else 1
     assert run.stdout.split() == [str(variants), "variants,", "0", "faults"]
-
-
-def test_pointers_of_structures_are_as_wide_as_the_headers():
-    assert ctypes.sizeof(ctypes.c_void_p) == 8
-    assert ctypes.sizeof(structures.Gathered) == 8 * len(structures.Gathered._fields_)

@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 
-from inference.marching.depth_samples import DepthSamples, divided, gauss_legendre, sample_opacities
+from inference.marching.depth_samples import DepthSamples, divided, gauss_legendre
 from inference.scene.settings import DETAIL
+from tests.reference.march import sample_opacities
 
 
 @pytest.mark.parametrize("most", [1, 2, 5, 9])

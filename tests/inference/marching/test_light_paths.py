@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light paths: the kernel against its twin, the laws that paths obey, and another tracer."""
+"""Light paths: the laws that they obey, and another tracer."""
 
 from ctypes import c_int32
 from dataclasses import replace
@@ -10,10 +10,10 @@ import pytest
 from inference import Medium
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.kernels.library import Kernels, load_kernels
 from inference.marching.light_paths import COLLISIONS, GIVEN_UP, LEFT, MISSED, PathTracer, ScatteringMedia
 from inference.marching.ray_steps import RayBatch
 from inference.runtime.cancellation import Cancelled
+from tests.support.kernels import VARIANTS, variant
 from tests.support.marches import Recipe, random_scene
 from tests.support.volumes import cloud
 from training.data.seeded_volume import cube_volume
@@ -22,7 +22,6 @@ from training.tracer.exits import decode_directions, trace_camera_exits
 from training.tracer.path_tracer import Sampling
 from training.tracer.scene import PinholeCamera
 
-KERNELS = load_kernels()
 RECIPES = {
     "dense": Recipe(thickness=20.0),
     "sparse": Recipe(thickness=20.0, sparse=True),
@@ -46,17 +45,33 @@ def scattering(media, anisotropy=0.0, albedo=(0.9, 0.8, 0.95), channels=(0, 1, 2
 
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
 @pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
-def test_compiled_paths_are_their_twins(recipe, anisotropy):
-    scene = random_scene(7, recipe, 24)
+def test_variants_for_different_processors_agree(recipe, anisotropy):
+    scene, found = random_scene(7, recipe, 24), []
     media, numbers = scattering(scene.media, anisotropy), np.arange(24) * 5
-    expected = PathTracer(media).trace(scene.rays, numbers, 10)
+    for number in VARIANTS:
+        with variant(number):
+            found.append(PathTracer(media).trace(scene.rays, numbers, 10))
+    expected = found[0]
     assert (expected.ends == LEFT).any()
-    for variant in range(KERNELS.best + 1):
-        found = PathTracer(media, Kernels(KERNELS.path, variant)).trace(scene.rays, numbers, 10)
+    for other in found[1:]:
         # A rounding may decide whether one path in thousands collides.
-        same = np.abs(found.directions - expected.directions).max(axis=2) < 1e-4
-        assert same.mean() > 0.99 and (found.ends == expected.ends).mean() > 0.99
-        np.testing.assert_allclose(found.kept[same], expected.kept[same], rtol=1e-4, atol=1e-6)
+        same = np.abs(other.directions - expected.directions).max(axis=2) < 1e-4
+        assert same.mean() > 0.99 and (other.ends == expected.ends).mean() > 0.99
+        np.testing.assert_allclose(other.kept[same], expected.kept[same], rtol=1e-4, atol=1e-6)
+
+
+def test_albedos_that_vary_are_those_of_the_voxels():
+    """What one collision keeps: the mean of the albedo, weighted by how often paths collide with it."""
+    _, media = ball_media(0.05, 1.0, 0.0)
+    [medium] = media.media
+    half = np.arange(48) < 24
+    volume = cube_volume(np.ones((48, 48, 48), np.float32), "box")
+    scattered = np.where(half[:, None, None], 0.9, 0.3).astype(np.float32) * volume.density
+    volume = replace(volume, scattering=(scattered,))
+    media = ScatteringMedia([BoundMedium(Grid(volume), medium.medium, 0.05, [])], (0,))
+    rays = rays_of(PinholeCamera((0.0, -2.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 10.0, 6), media)
+    ends = PathTracer(media).trace(rays, np.arange(36), 4000)
+    assert ends.kept[ends.ends == LEFT].mean() == pytest.approx(0.6, rel=0.03)
 
 
 @pytest.mark.parametrize("recipe", ["dense", "sparse", "overlapping", "thin"])
@@ -64,7 +79,7 @@ def test_paths_collide_as_often_as_rays_are_opaque(recipe):
     """Beer and Lambert's law, of the interpolated density, by sums along the rays."""
     scene = random_scene(3, RECIPES[recipe], 16)
     media, rays = scattering(scene.media), scene.rays
-    ends = PathTracer(media, KERNELS).trace(rays, np.arange(16), 4000).ends
+    ends = PathTracer(media).trace(rays, np.arange(16), 4000).ends
     distance = rays.near[:, None] + (rays.far - rays.near)[:, None] * (np.arange(4000) + 0.5) / 4000
     places = rays.origins[:, None] + distance[..., None] * rays.directions[:, None]
     depth = np.zeros(16)
@@ -98,7 +113,7 @@ def test_paths_leave_as_those_of_the_tracer_that_trains_networks(sigma, anisotro
     camera = PinholeCamera((0.3, -2.0, 0.4), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 16.0, 12)
     exits, _, hit = trace_camera_exits(prepare(density), camera, sigma, anisotropy, Sampling(600, 2))
     rays = rays_of(camera, media)
-    ends = PathTracer(media, KERNELS).trace(rays, np.arange(len(rays.near)), 600)
+    ends = PathTracer(media).trace(rays, np.arange(len(rays.near)), 600)
     left = ends.ends == LEFT
     assert left.mean() == pytest.approx(hit.mean(), abs=0.01)
     scatterings = exits.scatterings[hit].astype(float)
@@ -113,7 +128,7 @@ def test_paths_leave_as_those_of_the_tracer_that_trains_networks(sigma, anisotro
 def test_nothing_is_lost_without_absorption():
     _, media = ball_media(200.0, 1.0, 0.857)
     rays = rays_of(PinholeCamera((0.0, -2.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 10.0, 6), media)
-    ends = PathTracer(media, KERNELS).trace(rays, np.arange(36), 50)
+    ends = PathTracer(media).trace(rays, np.arange(36), 50)
     np.testing.assert_array_equal(ends.kept[ends.ends != MISSED], 1.0)
     np.testing.assert_allclose(np.linalg.norm(ends.directions[ends.ends == LEFT], axis=1), 1.0, atol=1e-5)
 
@@ -122,13 +137,13 @@ def test_paths_that_scatter_too_often_are_given_up():
     """Beside a wall of half-space the share is about 1 / sqrt(pi COLLISIONS)."""
     _, media = ball_media(1e5, 1.0, 0.0)
     rays = rays_of(PinholeCamera((0.0, -2.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 4.0, 4), media)
-    ends = PathTracer(media, KERNELS).trace(rays, np.arange(16), 200)
+    ends = PathTracer(media).trace(rays, np.arange(16), 200)
     assert 0.3 / COLLISIONS**0.5 < (ends.ends == GIVEN_UP).mean() < 3.0 / COLLISIONS**0.5
 
 
 def test_paths_depend_on_the_numbers_of_rays_alone():
     scene = random_scene(5, RECIPES["dense"], 12)
-    tracer = PathTracer(scattering(scene.media), KERNELS)
+    tracer = PathTracer(scattering(scene.media))
     whole, some = tracer.trace(scene.rays, np.arange(12), 20), np.array([3, 9, 4])
     part = tracer.trace(scene.rays.take(some), some, 20)
     np.testing.assert_array_equal(part.directions, whole.directions[some])
@@ -139,4 +154,4 @@ def test_paths_stop_when_asked():
     media = ScatteringMedia([BoundMedium(Grid(cloud()), Medium(50.0), 50.0, [])], (0,))
     rays = rays_of(PinholeCamera((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 20.0, 6), media)
     with pytest.raises(Cancelled):
-        PathTracer(media, KERNELS, c_int32(1)).trace(rays, np.arange(36), 10)
+        PathTracer(media, c_int32(1)).trace(rays, np.arange(36), 10)

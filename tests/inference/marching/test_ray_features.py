@@ -7,12 +7,14 @@ import pytest
 from inference import Medium, Volume
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
+from inference.marching.marcher import ray_features_at
 from inference.marching.ray_features import SCALES
-from inference.marching.ray_march import MarchOptions, march, ray_features_at
+from inference.marching.ray_march import MarchOptions
 from inference.marching.ray_steps import RayBatch
 from inference.numerics.exponential import one_minus_exp
 from inference.transport.discrete_ordinates import CELLS as COARSE_CELLS
 from inference.transport.scattered_fluence import ScatteredFluence
+from tests.support.marches import march
 
 CELLS = 48
 ANISOTROPY = 0.6

@@ -9,9 +9,10 @@ from inference.grids.bound_medium import BoundMedium
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
 from inference.grids.occupancy import REACH, Occupancy
-from inference.marching.ray_march import MarchOptions, march
-from inference.marching.ray_steps import Blocks, RayBatch
+from inference.marching.ray_march import MarchOptions
+from inference.marching.ray_steps import RayBatch
 from inference.scene.sparse_grid import SparseGrid
+from tests.support.marches import march
 
 
 def sparse(shape=(31, 24, 40), share=0.002):
@@ -82,18 +83,6 @@ def test_a_ray_does_not_depend_on_its_neighbours(sigma_t):
         np.testing.assert_array_equal(alone.single[0], together.single[number])
         mine = together.sample_ray == number
         np.testing.assert_array_equal(alone.sample_distance, together.sample_distance[mine])
-
-
-def test_sums_along_rays_are_those_of_loops():
-    random = np.random.default_rng(3)
-    ray = np.sort(random.integers(0, 12, 70))
-    blocks = Blocks(12, ray, np.arange(70.0), np.ones(70))
-    values = random.random(70)
-    np.testing.assert_allclose(blocks.sums(values), [values[ray == r].sum() for r in range(12)])
-    for p in range(70):
-        same = ray == ray[p]
-        assert blocks.before(values)[p] == pytest.approx(values[:p][same[:p]].sum(), abs=1e-12)
-        assert blocks.behind(values)[p] == pytest.approx(values[p + 1 :][same[p + 1 :]].sum(), abs=1e-12)
 
 
 def test_finer_voxels_hold_the_same_interpolant():

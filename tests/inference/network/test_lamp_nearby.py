@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Directions of the light around a lamp, against photons followed from it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from inference.kernels.library import Kernels, load_kernels
-from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way, straight_light
+from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.scene.phase_function import henyey_greenstein, reduced_anisotropy
 from inference.transport.scattered_fluence import FluenceLattice
+from tests.reference.lamp_nearby import radiance, straight_light
+from tests.support.kernels import VARIANTS, variant
 
-KERNELS = load_kernels()
 ANISOTROPY, ALBEDO = 0.857, 0.9
 #: Places of matter on the way through even smoke.
 EVEN = (np.arange(4) + 0.5) / 4
@@ -84,8 +82,8 @@ def _traced(order, least, most, photons=150_000):
 
 
 @pytest.mark.parametrize("anisotropy", [0.857, 0.3, 0.97, -0.5])
-@pytest.mark.parametrize("variant", range(KERNELS.best + 1))
-def test_compiled_light_equals_its_twin(anisotropy, variant):
+@pytest.mark.parametrize("number", VARIANTS)
+def test_compiled_light_equals_its_twin(anisotropy, number):
     random = np.random.default_rng(12)
     cells = 0.2 * random.normal(size=(66, 66, 66, 20)).astype(np.float32)
     cells[..., 0] = 1.0 + np.abs(cells[..., :16]).sum(axis=-1)
@@ -93,7 +91,6 @@ def test_compiled_light_equals_its_twin(anisotropy, variant):
     density = random.random((66, 66, 66, 1)).astype(np.float32)
     box = np.full(3, -0.5), np.full(3, 0.5)
     nearby = LampNearby(1.0, {ALBEDO: (FluenceLattice(cells), 0.3)}, anisotropy, FluenceLattice(density), box)
-    compiled = replace(nearby, kernels=Kernels(KERNELS.path, variant))
     points, omega = random.uniform(-0.5, 0.5, (203, 3)), random.normal(size=(203, 3))
     omega /= np.linalg.norm(omega, axis=1)[:, None]
     light = nearby.lit(
@@ -101,6 +98,8 @@ def test_compiled_light_equals_its_twin(anisotropy, variant):
     )
     # Beside a cone, where there is no light of the lamp's own.
     light.irradiance[::5] = 0.0
-    expected = nearby.radiance(ALBEDO, points, omega, light)
+    expected = radiance(nearby, ALBEDO, points, omega, light)
     assert np.all(expected > 0.0)
-    np.testing.assert_allclose(compiled.radiance(ALBEDO, points, omega, light), expected, rtol=2e-3, atol=2e-4)
+    with variant(number):
+        found = nearby.radiance(ALBEDO, points, omega, light)
+    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4)

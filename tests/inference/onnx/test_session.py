@@ -5,14 +5,13 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from inference.kernels.library import Kernels, load_kernels
 from inference.network.weights_file import WEIGHTS
 from inference.onnx.model_file import MalformedFile, read_model
 from inference.onnx.products import Weights
 from inference.onnx.session import Session
+from tests.support.kernels import VARIANTS, variant
 from tests.support.marches import random_density
 
-KERNELS = load_kernels()
 FILES = sorted(WEIGHTS.rglob("*.onnx"))
 # Sizes of the free axes of inputs. Of points, more than a tile of a kernel holds and a remainder.
 SIZES = {"N": 212, "V": 37, "A": 3, "C": 3}
@@ -33,11 +32,11 @@ def inputs(session: onnxruntime.InferenceSession, seed: int) -> dict[str, np.nda
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(WEIGHTS)))
-@pytest.mark.parametrize("kernels", [None, *(Kernels(KERNELS.path, n) for n in range(KERNELS.best + 1))])
-def test_every_network_predicts_what_onnxruntime_predicts(path, kernels):
+@pytest.mark.parametrize("number", VARIANTS)
+def test_every_network_predicts_what_onnxruntime_predicts(path, number):
     content = path.read_bytes()
     expected = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    found = Session(content, kernels)
+    found = Session(content)
     assert found.get_modelmeta().custom_metadata_map == expected.get_modelmeta().custom_metadata_map
     assert [(one.name, one.type, [*one.shape]) for one in found.get_inputs()] == [
         (one.name, one.type, one.shape) for one in expected.get_inputs()
@@ -45,7 +44,9 @@ def test_every_network_predicts_what_onnxruntime_predicts(path, kernels):
     names = [output.name for output in expected.get_outputs()]
     for seed in range(3):
         given = inputs(expected, seed)
-        (theirs,), (ours,) = expected.run(names, given), found.run(names, given)
+        (theirs,) = expected.run(names, given)
+        with variant(number):
+            (ours,) = found.run(names, given)
         assert ours.dtype == theirs.dtype and np.isfinite(theirs).all()
         np.testing.assert_allclose(ours, theirs, rtol=1e-4 if seed else 1e-5, atol=1e-5 * np.abs(theirs).max())
 
@@ -53,33 +54,27 @@ def test_every_network_predicts_what_onnxruntime_predicts(path, kernels):
 def test_points_do_not_depend_on_their_neighbours():
     """The same bits, in tiles of any size."""
     content = (WEIGHTS / "mrpnn.onnx").read_bytes()
-    session = Session(content, KERNELS)
+    session = Session(content)
     given = inputs(onnxruntime.InferenceSession(content), 0)
     (whole,) = session.run(["radiance"], given)
     some = {name: value[:48] if len(value) == SIZES["N"] else value for name, value in given.items()}
     np.testing.assert_array_equal(session.run(["radiance"], some)[0], whole[:, :48])
 
 
-@pytest.mark.parametrize("variant", range(KERNELS.best + 1))
-def test_the_kernel_multiplies_matrices(variant):
-    kernels, random = Kernels(KERNELS.path, variant), np.random.default_rng(variant)
-    for rows, inner, columns in [
-        (1, 1, 1),
-        (13, 7, 33),
-        (97, 48, 192),
-        (212, 192, 12),
-        (0, 5, 3),
-        (3, 0, 4),
-        (5, 9, 16),
-    ]:
+@pytest.mark.parametrize("number", VARIANTS)
+def test_the_kernel_multiplies_matrices(number):
+    random = np.random.default_rng(number)
+    sizes = (1, 1, 1), (13, 7, 33), (97, 48, 192), (212, 192, 12), (0, 5, 3), (3, 0, 4), (5, 9, 16)
+    for rows, inner, columns in sizes:
         left, right = (random.normal(size=shape).astype(np.float32) for shape in ((rows, inner), (inner, columns)))
-        found = Weights(right, kernels).product(left)
+        with variant(number):
+            found = Weights(right).product(left)
         np.testing.assert_allclose(found, left.astype(np.float64) @ right, rtol=0.0, atol=2e-6 * max(inner, 1))
     extreme = random_density(random, (12, 1, 20), "magnitudes").reshape(12, 20)
     extreme[3, 4], extreme[5, 6] = np.inf, np.nan
     right = np.ones((20, 18), np.float32)
-    with np.errstate(all="ignore"):
-        np.testing.assert_allclose(Weights(right, kernels).product(extreme), extreme @ right, rtol=1e-6)
+    with np.errstate(all="ignore"), variant(number):
+        np.testing.assert_allclose(Weights(right).product(extreme), extreme @ right, rtol=1e-6)
 
 
 def test_damaged_files_are_refused_by_their_reader():

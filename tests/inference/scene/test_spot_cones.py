@@ -6,7 +6,6 @@ import pytest
 
 from inference import Camera, Medium, PointLight, Settings, SpotLight, render
 from inference.grids.grid import Grid
-from inference.kernels.library import load_kernels
 from inference.marching.lamp_in_media import place_lamp
 from tests.support.volumes import box
 
@@ -75,10 +74,9 @@ def test_light_travels_within_the_cone_also_close_to_the_disk():
 
 @pytest.mark.parametrize("angle", [1e-9, 1e-6, 1e-5, 1e-4])
 @pytest.mark.parametrize("radius", [0.0, 0.1])
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_cone_as_narrow_as_rounding_gives_finite_light(angle, radius, compiled):
-    lamp, kernels = spot(angle, 0.5, radius), load_kernels() if compiled else None
-    placed = place_lamp(lamp, [Grid(box(voxels=4))], kernels=kernels)
+def test_a_cone_as_narrow_as_rounding_gives_finite_light(angle, radius):
+    lamp = spot(angle, 0.5, radius)
+    placed = place_lamp(lamp, [Grid(box(voxels=4))])
     points = lamp.position + np.linspace(-1.0, 1.0, 41)[:, None] * AXIS
     found = placed.fluence(np.concatenate([points, points + [1e-7, 0.0, 0.0], around(lamp, 0.0, 2.0)]))
     assert np.all(np.isfinite(found)) and np.all(found >= 0.0)

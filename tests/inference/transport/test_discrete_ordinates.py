@@ -6,15 +6,12 @@ import pytest
 
 from inference import Volume
 from inference.grids.working_cube import fit_cube
-from inference.kernels.library import load_kernels
 from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import reduced_anisotropy
 from inference.transport import scattered_fluence
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.ordinates import STEPS, solid_angles
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
-
-KERNELS = load_kernels()
 
 UP = np.array([0.0, 0.0, 1.0])
 SLANT = np.array([0.48, 0.6, 0.64])
@@ -112,10 +109,10 @@ def test_the_fluence_is_neither_negative_nor_above_any_mediums_bound(cloud, sigm
 
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(150.0, 0.4), (300.0, 0.0), (400.0, 0.857)])
 def test_more_sweeps_change_little(cloud, monkeypatch, sigma_hat, anisotropy):
-    few = DiscreteOrdinates(cloud, sigma_hat, anisotropy, kernels=KERNELS).light(SLANT)[0]
+    few = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)[0]
     for name, value in (("FINE_SWEEPS", 40), ("SWEEPS", 40), ("CONVERGED", 1e-6)):
         monkeypatch.setattr(f"inference.transport.discrete_ordinates.{name}", value)
-    many = DiscreteOrdinates(cloud, sigma_hat, anisotropy, kernels=KERNELS).light(SLANT)[0]
+    many = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)[0]
     assert np.abs(few - many).sum() < 0.03 * many.sum()
 
 

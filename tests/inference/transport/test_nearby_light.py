@@ -6,12 +6,10 @@ import pytest
 
 from inference import PointLight
 from inference.grids.working_cube import Cube
-from inference.kernels.library import load_kernels
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from inference.transport.lamp_beam import CubeCells, LampInCube
 from inference.transport.nearby_light import NearbyMedium, nearby_light
 
-KERNELS = load_kernels()
 CELLS, PLACE = 64, np.array([0.11, -0.07, 0.04])
 
 
@@ -23,9 +21,9 @@ def lamp_at(place):
 
 def light_of(sigma, anisotropy, albedo, density, triangles=None):
     """Unscattered and scattered light in cells."""
-    solver = DiscreteOrdinates(density, sigma, anisotropy, triangles, KERNELS, albedo)
-    medium, lamp = NearbyMedium(density, sigma, anisotropy, albedo, KERNELS), lamp_at(PLACE)
-    return lamp(CubeCells(density, sigma, KERNELS))[0], nearby_light(solver, medium, lamp)
+    solver = DiscreteOrdinates(density, sigma, anisotropy, triangles, albedo)
+    medium, lamp = NearbyMedium(density, sigma, anisotropy, albedo), lamp_at(PLACE)
+    return lamp(CubeCells(density, sigma))[0], nearby_light(solver, medium, lamp)
 
 
 @pytest.mark.parametrize("albedo", [0.3, 0.9])

@@ -63,14 +63,6 @@ def test_almost_one_colour_is_almost_that_colour(light):
     close(found.rgb, expected.rgb, 2e-3 if light == "environment" else 1e-3)
 
 
-@pytest.mark.parametrize("light", ["sun", "soft sun", "lamp", "lamp inside"])
-def test_numpy_and_kernels_agree(light):
-    albedo = np.stack([halves(0.9, 0.3), halves(0.2, 0.8), halves(0.5, 0.6)], axis=3)
-    compiled, plain = (draw(albedo, LIGHTS[light], compiled=value) for value in (True, False))
-    close(compiled.single, plain.single, 1e-5)
-    close(compiled.rgb, plain.rgb, 1e-4)
-
-
 @pytest.mark.parametrize("light", ["sun", "lamp", "environment"])
 def test_channels_are_those_of_grey_albedos(light):
     greys = [halves(0.9, 0.3), halves(0.2, 0.8), halves(0.95, 0.6)]

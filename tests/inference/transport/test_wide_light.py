@@ -4,13 +4,12 @@
 import numpy as np
 import pytest
 
-from inference.kernels.library import Kernels, load_kernels
 from inference.transport.forward_peak import forward_peak
 from inference.transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from inference.transport.radiance_sweep import sweep_radiance
 from inference.transport.wide_light import FACE, Lobe, scattered_wide, wide_light
+from tests.support.kernels import VARIANTS, variant
 
-KERNELS = load_kernels()
 SHAPE = 14, 9, 11
 
 
@@ -29,14 +28,15 @@ def some_depth(random):
 
 
 @pytest.mark.parametrize("anisotropy", [0.0, 0.3, 0.857, -0.6])
-def test_compiled_sweeps_equal_their_twin(anisotropy):
-    random, peak = np.random.default_rng(1), forward_peak(anisotropy)
+def test_variants_for_different_processors_agree(anisotropy):
+    random, peak, found = np.random.default_rng(1), forward_peak(anisotropy), []
     depth, lobes = some_depth(random), some_lobes(random)
-    expected = wide_light(depth, 0.8, lobes, peak)
-    assert expected.shape == (16, *SHAPE) and not expected[:, 7].any()
-    for variant in range(KERNELS.best + 1):
-        found = wide_light(depth, 0.8, lobes, peak, Kernels(KERNELS.path, variant))
-        np.testing.assert_allclose(found, expected, atol=2e-6 * expected.max())
+    for number in VARIANTS:
+        with variant(number):
+            found.append(wide_light(depth, 0.8, lobes, peak))
+    assert found[0].shape == (16, *SHAPE) and not found[0][:, 7].any()
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=2e-6 * found[0].max())
 
 
 def test_isotropic_light_travels_as_emitted_light():
@@ -45,7 +45,7 @@ def test_isotropic_light_travels_as_emitted_light():
     depth, lobes = some_depth(random), some_lobes(random)
     emission = 0.8 * depth / cell * (lobes[0].amount + lobes[1].amount) / (4.0 * np.pi)
     fluence, flux = sweep_radiance(depth.astype(float) / cell, emission, cell, FACE)
-    found = wide_light(depth, 0.8, lobes, forward_peak(0.0), KERNELS)
+    found = wide_light(depth, 0.8, lobes, forward_peak(0.0))
     held = depth > 0.0
     np.testing.assert_allclose(found[0][held], fluence[held], rtol=1e-3)
     np.testing.assert_allclose(found[1:4, held], flux[:, held], atol=2e-3 * fluence.max())
@@ -56,7 +56,7 @@ def test_deep_in_even_fog_light_is_absorbed_where_it_scatters(anisotropy):
     """Fluence of opaque cells: what of the lobes scatters by a wide angle, over the delta-scaled extinction."""
     random, peak = np.random.default_rng(3), forward_peak(anisotropy)
     lobes = some_lobes(random)
-    found = wide_light(np.full(SHAPE, 2e3, np.float32), 0.8, lobes, peak, KERNELS)
+    found = wide_light(np.full(SHAPE, 2e3, np.float32), 0.8, lobes, peak)
     expected = 0.8 * peak.share / (1.0 - anisotropy**2) * (lobes[0].amount + lobes[1].amount)
     np.testing.assert_allclose(found[0], expected, rtol=0.02)
 

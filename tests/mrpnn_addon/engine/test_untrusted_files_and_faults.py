@@ -154,7 +154,7 @@ def test_rendering_can_be_cancelled_while_writing(addon, scene, cloud, tmp_path)
 class Breaks(Baseline):
     """A model that fails in the middle of a render, as a bug would."""
 
-    def predictor(self, volume, cube, anisotropy, cancel=None, kernels=None):
+    def predictor(self, volume, cube, anisotropy, cancel=None):
         return BreakingPredictor(self.name, anisotropy)
 
 

@@ -1,63 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light of lamps along camera rays: single scattering, and what networks read of it.
-
-The light of a lamp near a ray varies within a step as the inverse square of its distance. Its integral over each step
-is a quadrature in the angle under which the lamp sees the step, in which the inverse square is constant (Kulla and
-Fajardo, "Importance Sampling Techniques for Path Tracing in Participating Media", 2012); the transmittance varies
-exponentially within a step, as for suns.
-"""
+"""Light of lamps along camera rays, many rays at a time."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..grids.bound_medium import BoundMedium
-from ..grids.lamp_optical_depth import LampOpticalDepth
-from ..numerics.quadrature import legendre_nodes
-from ..scene.emitters import Emitter
-from ..transport.scattered_fluence import ScatteredFluence
-from .lamp_in_media import LEAST_FACING, LampInMedia, softened
-from .mean_lamp_depth import MeanLampDepth
-from .ray_features import MAX_TAU_SUN, REACH, RayFeatures, SampleSteps, gather_ray_features
-from .ray_march import (
+from inference.grids.bound_medium import BoundMedium
+from inference.grids.lamp_optical_depth import LampOpticalDepth
+from inference.marching.lamp_in_media import LEAST_FACING, LampInMedia, softened
+from inference.marching.mean_lamp_depth import MeanLampDepth
+from inference.marching.ray_features import MAX_TAU_SUN, RayFeatures
+from inference.marching.ray_march import (
+    BRIEF,
     DARK,
+    FEW,
+    MANY,
+    WIDE,
+    LampMarch,
     LampSegment,
-    MarchedMedium,
     MarchOptions,
-    block_sums,
-    group_sums,
-    mean_transmittance,
     optical_depth_behind,
-    rays_from,
-    reduced_fractions,
-    scattered_source,
 )
-from .ray_steps import STEPS, Cutting, RayBatch
+from inference.marching.ray_steps import STEPS, RayBatch
+from inference.numerics.quadrature import legendre_nodes
+from inference.scene.emitters import Emitter
 
-# Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
-# it, instead of FEW in its length; and up to which one in its middle is enough.
-WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
-
-
-@dataclass(frozen=True)
-class LampMarch:
-    """Lamps whose light is gathered along camera rays.
-
-    fluence: scattered light of the lamps in each group of volumes, None for a group without prediction; None altogether
-    if no ray features are wanted. radius: by which their light is softened for these. means: optical depths of all of a
-    lamp's light, for each lamp, or None; only for one volume alone, which no surface shadows from the lamp.
-    """
-
-    lamps: Sequence[LampInMedia]
-    fluence: list[ScatteredFluence | None] | None
-    radius: float
-    means: Sequence[MeanLampDepth | None] = ()
-
-    def mean(self, number: int) -> MeanLampDepth | None:
-        """Of a lamp by number."""
-        return self.means[number] if self.means else None
+from .march import MarchedMedium, block_sums, group_sums, mean_transmittance, reduced_fractions, scattered_source
+from .ray_features import SampleSteps, gather_ray_features
+from .ray_steps import Cutting
 
 
 class _Steps:
@@ -131,7 +103,8 @@ class _Steps:
     def mean_depth(self, mean: MeanLampDepth) -> np.ndarray:
         """Optical depth float32 (P, STEPS + 1) of all of a lamp's light in the only medium, at ends of filled steps."""
         found = np.full((len(self.medium.total), STEPS + 1), DARK, np.float32)
-        found.reshape(-1)[self.edge] = mean(self.medium.lines.index(0, self.edge_ray, self.edge_place))
+        index = self.medium.lines.index(0, self.edge_ray, self.edge_place)
+        found.reshape(-1)[self.edge] = mean.grid.sample(index + np.float32(1.0))
         return found
 
     def integrals(self, emitter: Emitter, media: Sequence[BoundMedium], smooth: np.ndarray) -> np.ndarray:
@@ -271,7 +244,7 @@ def march_lamps(
     options: MarchOptions,
     samples: tuple[np.ndarray, np.ndarray],
 ) -> LampSegment:
-    """What rays, whose intervals contain all media, gather of lamps; `CompiledMarch` is its twin.
+    """What rays, whose intervals contain all media, gather of lamps.
 
     options: of the march for other light. samples: ray int (M,) and distance (M,) of samples at which ray features are
     wanted if there is a fluence.
@@ -293,26 +266,6 @@ def march_lamps(
     where = find_steps(medium, *samples)
     points = rays.origins[samples[0]] + samples[1][:, None] * rays.directions[samples[0]]
     return LampSegment(single, _features(steps, beams, lamps, options, where, points, radius))
-
-
-def lamp_features_at(
-    medium: BoundMedium,
-    positions: np.ndarray,
-    directions: np.ndarray,
-    lamp: LampInMedia,
-    fluence: ScatteredFluence,
-    radius: float,
-) -> RayFeatures:
-    """Ray features at world positions (N, 3) for rays along unit directions (N, 3), of a lamp in one medium alone."""
-    rays = rays_from(medium, positions, directions)
-    marched = MarchedMedium([medium], rays, Cutting(REACH, keep_empty=True, always_first=True))
-    start = np.flatnonzero(marched.blocks.rank == 0)
-    known = marched.total > 0.0
-    known[start, 0] = True
-    steps = _Steps(marched, rays, known)
-    beam = _LitSteps(steps, [medium], lamp).beam(None, radius)
-    where = SampleSteps(start, np.zeros(len(positions), int), np.zeros(len(positions)))
-    return _features(steps, [beam], [lamp], MarchOptions(1, [fluence]), where, positions, radius)
 
 
 def _features(

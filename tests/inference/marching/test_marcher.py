@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The compiled march against its twin in numpy, on identical rays: ordinary, extreme and random scenes."""
+"""The march against the same in numpy, on identical rays: ordinary, extreme and random scenes."""
 
 import ctypes
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, Settings, Surface, render
-from inference.kernels.library import Kernels, Unavailable, load_kernels
-from inference.marching.compiled_march import CompiledMarch
-from inference.marching.depth_samples import possible_counts, sample_counts
-from inference.marching.emission import emitted_radiance
-from inference.marching.lamp_march import march_lamps
-from inference.marching.ray_march import RaySegment, march
+from inference.marching.depth_samples import possible_counts
+from inference.marching.marcher import Marcher
+from inference.marching.ray_march import RaySegment
 from inference.runtime.cancellation import Cancelled
 from inference.scene.optimizations import ALL
+from tests.reference.lamp_march import march_lamps
+from tests.reference.march import emitted_radiance, march, sample_counts
+from tests.support.kernels import VARIANTS, variant
 from tests.support.marches import MarchScene, Recipe, random_scene
-from tests.support.volumes import SUN, cloud
 
-KERNELS = load_kernels()
 # Largest difference over the largest value of each quantity.
 TOLERANCE = 1e-5
 BIG = (150, 140, 135)
@@ -65,10 +61,8 @@ SCENES = {
 }
 
 
-def compiled(scene: MarchScene, variant: int | None = None) -> RaySegment:
-    kernels = KERNELS if variant is None else Kernels(KERNELS.path, variant)
-    stop = ctypes.c_int32(0)
-    return CompiledMarch(kernels, scene.media, scene.options, scene.channels, stop, scene.lamps)(scene.rays)
+def compiled(scene: MarchScene) -> RaySegment:
+    return Marcher(scene.media, scene.options, scene.channels, ctypes.c_int32(0), scene.lamps)(scene.rays)
 
 
 def twin(scene: MarchScene) -> RaySegment:
@@ -108,7 +102,7 @@ def assert_equal(one: RaySegment, other: RaySegment, tolerance: float) -> None:
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 @pytest.mark.parametrize("name", SCENES)
-def test_compiled_march_equals_its_twin(name, seed):
+def test_march_equals_its_twin(name, seed):
     scene = random_scene(seed, SCENES[name], 24)
     assert len(scene.rays.near) > 3
     expected = twin(scene)
@@ -137,7 +131,7 @@ def random_recipe(random: np.random.Generator) -> Recipe:
 
 
 @pytest.mark.parametrize("seed", [*range(10), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(10, 40))])
-def test_compiled_march_equals_its_twin_in_random_scenes(seed):
+def test_march_equals_its_twin_in_random_scenes(seed):
     scene = random_scene(seed, random_recipe(np.random.default_rng(1000 + seed)), 16)
     # A ray whose last lit step is a matter of rounding is cut elsewhere; see the share of them.
     expected, found = quantities(twin(scene)), quantities(compiled(scene))
@@ -166,7 +160,10 @@ def test_possible_counts_are_all_there_are(most):
 @pytest.mark.parametrize("name", ["ordinary", "stiff", "sparse", "three volumes in two groups", "emission"])
 def test_variants_for_different_processors_agree(name):
     scene = random_scene(7, SCENES[name], 24)
-    segments = [compiled(scene, variant) for variant in range(KERNELS.best + 1)]
+    segments = []
+    for number in VARIANTS:
+        with variant(number):
+            segments.append(compiled(scene))
     for segment in segments[1:]:
         assert_equal(segments[0], segment, 1e-6)
 
@@ -184,52 +181,6 @@ def test_a_ray_does_not_depend_on_those_marched_with_it():
 
 def test_a_march_that_is_to_stop_is_cancelled():
     scene = random_scene(1, SCENES["ordinary"], 24)
-    march = CompiledMarch(KERNELS, scene.media, scene.options, scene.channels, ctypes.c_int32(1))
+    marcher = Marcher(scene.media, scene.options, scene.channels, ctypes.c_int32(1))
     with pytest.raises(Cancelled):
-        march(scene.rays)
-
-
-CAMERAS = {
-    "perspective": {},
-    "orthographic": {"projection": "orthographic", "ortho_scale": 1.4},
-    "equirectangular": {"projection": "equirectangular"},
-}
-
-
-@pytest.mark.parametrize("projection", CAMERAS)
-def test_pictures_are_equal(projection):
-    matrix = np.eye(4)
-    matrix[2, 3] = 0.2 if projection == "equirectangular" else 3.0
-    camera = Camera(matrix, resolution=(48, 32), fov=0.5, **CAMERAS[projection])
-    roof = Surface(np.array([[[-0.3, -0.3, 0.6], [0.5, -0.3, 0.6], [0.0, 0.5, 0.6]]]), covers=False)
-    scene = [(cloud(2), Medium((40.0, 40.0, 20.0), (0.99, 0.9, 0.8), 0.8))], [SUN], camera
-    for leave_out, largest in ((ALL - {"shared_pixels", "faint_rays"}, 1e-5), (ALL, None)):
-        one, other = (
-            render(*scene, Settings(compiled=on, leave_out=leave_out), surfaces=[roof]) for on in (False, True)
-        )
-        assert (one.report.kernels, other.report.kernels) == ("numpy", KERNELS.name)
-        mean = one.rgb[one.alpha > 0.0].mean()
-        difference = (one.rgb - other.rgb)[one.alpha > 0.0]
-        if largest is not None:
-            # Rounding moves a point across the border of the coarse transport's cells in few pixels.
-            flipped = np.abs(difference).max(axis=1) >= largest * mean
-            assert flipped.mean() < 0.005 and np.abs(difference).max() < 1e-3 * mean
-        assert np.sqrt((difference**2).mean()) < 1e-3 * mean
-
-
-def test_without_the_library_numpy_renders_and_a_warning_says_why(monkeypatch):
-    def missing():
-        raise Unavailable("there is none for this kind of computer")
-
-    monkeypatch.setattr(sys.modules["inference.render"], "load_kernels", missing)
-    scene = [(cloud(2), Medium(5.0))], [SUN], Camera(np.eye(4), resolution=(8, 8))
-    report = render(*scene, Settings(multiple=False)).report
-    assert report.kernels == "numpy"
-    assert sum("there is none for this kind of computer" in warning for warning in report.warnings) == 1
-    assert not render(*scene, Settings(multiple=False, compiled=False)).report.warnings
-
-
-def test_the_environment_chooses_numpy(monkeypatch):
-    monkeypatch.setenv("MRPNN_COMPILED", "0")
-    scene = [(cloud(2), Medium(5.0))], [SUN], Camera(np.eye(4), resolution=(8, 8))
-    assert render(*scene, Settings(multiple=False)).report.kernels == "numpy"
+        marcher(scene.rays)

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values of grids in the cells of others."""
+
+import numpy as np
+
+from inference.grids.dense_grid import DenseGrid
+from inference.grids.occupancy import Occupancy
+from inference.grids.resampling import Placement
+from inference.grids.working_cube import Cube, _cell_weights
+from inference.numerics.small_matmul import affine_inverse
+from inference.scene.description import Volume
+from inference.scene.sparse_grid import SparseGrid
+
+
+def halved(fine: np.ndarray) -> np.ndarray:
+    """Means float32 (x, y, z) of 2 x 2 x 2 cells, in the kernel's order of sums."""
+    pairs = fine[0::2] + fine[1::2]
+    pairs = pairs[:, 0::2] + pairs[:, 1::2]
+    return (pairs[:, :, 0::2] + pairs[:, :, 1::2]) * np.float32(0.125)
+
+
+def mean_cells(density: np.ndarray, volume: Volume, cube: Cube, cells: int) -> np.ndarray:
+    """Means of the interpolant of a density (x, y, z) over the cells of a cube along the axes of its voxels."""
+    index_from_world = affine_inverse(volume.world_from_index)
+    scale = np.diag(index_from_world[:3, :3] @ cube.rotation * cube.edge)
+    origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3]
+    weights = [
+        _cell_weights(np.linspace(-0.5, 0.5, cells + 1) * s + o, n) for s, o, n in zip(scale, origin, density.shape)
+    ]
+    return np.einsum("ix,jy,kz,xyz->ijk", *weights, density, optimize=True)
+
+
+def resampled_values(
+    grid: DenseGrid | SparseGrid, power: int, occupancy: Occupancy, placement: Placement, shape: tuple[int, ...]
+) -> np.ndarray:
+    """What `resample` fills in, float32 of a shape."""
+    centres = np.indices(shape).reshape(3, -1).T @ placement.linear.T + placement.offset
+    values = np.zeros(len(centres), np.float32)
+    for place in placement.places:
+        index = (centres + place).T.astype(np.float32)
+        near = np.flatnonzero(occupancy.near(index))
+        found = grid.sample(index[:, near])
+        values[near] += found * np.abs(found) ** (power - 1) / np.float32(len(placement.places))
+    return values.reshape(shape)
