@@ -53,6 +53,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     _viewport: Viewport | None = None
     # The last message shown, and when.
     _said = ("", 0.0)
+    # In front of messages: Blender's progress bar stays full after Cycles, and only the text counts on.
+    _part = ""
     # Of the class, since each view layer has an engine of its own: when the first one was begun.
     _asked = 0.0
     # Of the class, since each frame has an engine of its own: what reads the files of an animation's next frame.
@@ -141,6 +143,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     @utf8_names()
     def _render(self, depsgraph: "bpy.types.Depsgraph") -> None:
         cls, view_layer, started = type(self), depsgraph.view_layer, time.perf_counter()
+        self._part = "Volumes of the composite | " if composited(depsgraph.scene) else ""
         first = next((layer.name for layer in depsgraph.scene.view_layers if layer.use), view_layer.name)
         if view_layer.name == first or depsgraph.scene.render.use_single_layer:
             cls._asked = started
@@ -229,7 +232,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         now = time.perf_counter()
         if message != self._said[0] or now - self._said[1] > CLOCK_INTERVAL and not bpy.app.background:
             self._said = message, now
-            render_status(self, before + message)
+            render_status(self, self._part + before + message)
 
     def _check(self) -> None:
         if self.test_break():

@@ -256,9 +256,9 @@ def test_meshes_without_faces_are_no_surfaces(addon, scene, tmp_path, places, ed
     assert read(addon).surfaces == []
 
 
-def told(capfd):
-    """Reports of a render that mention the ball, as the console shows them."""
-    return [line for line in capfd.readouterr().out.splitlines() if '"Ball"' in line]
+def told(capfd, word='"Ball"'):
+    """Lines of a render on the console that mention the ball, or a word."""
+    return [line for line in capfd.readouterr().out.splitlines() if word in line]
 
 
 def test_f12_tells_of_a_surface_once(addon, scene, tmp_path, capfd):
@@ -293,3 +293,10 @@ def test_a_composite_does_not_offer_a_composite(addon, scene, tmp_path, capfd, t
     lines = told(capfd)
     assert not any("Composite" in line or "ot rendered" in line for line in lines)
     assert len(lines) == textured and all("without textures" in line for line in lines)
+    # Blender's bar is full once Cycles is done: the status says what is counted.
+    blender_scenes.rendered(scene, tmp_path)
+    assert any("%" in line for line in told(capfd, "Volumes of the composite"))
+    bpy.ops.mrpnn.composite_remove()
+    scene.render.engine = "MRPNN"
+    blender_scenes.rendered(scene, tmp_path)
+    assert not told(capfd, "Volumes of the composite")
