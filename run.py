@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two commands of a fresh checkout, with nothing but Python 3.11 installed.
+"""The commands of a fresh checkout, with nothing but Python 3.11 installed.
 
     python3.11 run.py demo [volume.vdb ...]            render in Blender, compare with Cycles
     python3.11 run.py test [--all] [pytest options]    run the quick tests, or all of them
+    python3.11 run.py release [0.2.0]                  set the version, and build the zips and wheels of a release
 
-Both install what they need, pinned, into .venv beside this file, and compile the kernels for this machine.
+All install what they need, pinned, into .venv beside this file, and compile the kernels for this machine.
 """
 
 import hashlib
@@ -20,6 +21,7 @@ PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 COMMANDS = {
     "demo": ("requirements.txt", ["-m", "benchmarks.demo"]),
+    "release": ("requirements.txt", ["-m", "packages.release"]),
     # Two processes, each with whole files, in the order of tests/conftest.py.
     "test": ("requirements-dev.txt", ["-m", "pytest", "-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder"]),
 }

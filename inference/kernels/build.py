@@ -144,8 +144,21 @@ def _compile(target: Target, folder: Path) -> Path:
                 objects[-1],
             )
     library = folder / target.library
-    _zig(target, folder, "-shared", "-s", *objects, "-o", library)
+    name = ["-Wl,-install_name,@rpath/" + target.library] if "macos" in target.triple else []
+    _zig(target, folder, "-shared", "-s", *name, *objects, "-o", library)
+    if "windows" in target.triple:
+        _remove_time(library)
     return library
+
+
+def _remove_time(library: Path) -> None:
+    """Set the time of a Windows library to 0, so that its bytes depend on the sources alone: TimeDateStamp in
+    Microsoft's "PE Format".
+    """
+    content = bytearray(library.read_bytes())
+    time = int.from_bytes(content[0x3C:0x40], "little") + 8
+    content[time : time + 4] = bytes(4)
+    library.write_bytes(content)
 
 
 def _zig(target: Target, folder: Path, *arguments: str | Path) -> None:

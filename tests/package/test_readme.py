@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The README's example runs as printed, and its figures are those of the tables."""
+"""The README's figures are those of the tables. Its example is run in tests/package/test_environments.py."""
 
 import re
 import statistics
@@ -7,17 +7,6 @@ import statistics
 from benchmarks.fidelity.measurements import published_network
 from benchmarks.support.pages import read_csv
 from tests.support.paths import ROOT
-
-
-def test_the_example_runs(capsys):
-    text = (ROOT / "README.md").read_text()
-    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    scope = {}
-    exec(code, scope)
-    layer = scope["layer"]
-    assert layer.rgb.shape == (90, 160, 3) and 0.9 < layer.alpha.max() <= 1.0
-    assert layer.multiple.sum() > 0.0
-    assert "(90, 160, 3)" in capsys.readouterr().out
 
 
 def page(name):
