@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Henyey-Greenstein's phase function in numba: evaluation and importance sampling."""
 
+import math
+
 import numba
 import numpy as np
 
@@ -15,7 +17,7 @@ _INV_4PI = np.float32(0.25 / np.pi)
 def phase_hg(cosine, g):
     """Phase function, 1/sr, of the cosine between the directions of light before and after."""
     d = _F1 + g * g - _F2 * g * cosine
-    return _INV_4PI * (_F1 - g * g) / (d * np.sqrt(d))
+    return _INV_4PI * (_F1 - g * g) / (d * math.sqrt(d))
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -34,7 +36,7 @@ def scatter(dx, dy, dz, g, state):
 @numba.njit(cache=True, fastmath=True)
 def turn(dx, dy, dz, cosine, state):
     """A direction at an angle of given cosine to (dx, dy, dz), of random azimuth: (x, y, z, state)."""
-    sine = np.sqrt(_F1 - cosine * cosine)
+    sine = math.sqrt(_F1 - cosine * cosine)
     # Azimuth without trigonometry: a uniform point of the disc, projected to its rim.
     while True:
         state, bits = draw(state)
@@ -43,7 +45,7 @@ def turn(dx, dy, dz, cosine, state):
         square = a * a + b * b
         if square <= _F1 and square > _TINY:
             break
-    scale = sine / np.sqrt(square)
+    scale = sine / math.sqrt(square)
     a, b = a * scale, b * scale
     # Orthonormal basis around the direction (Duff et al. 2017).
     sign = _F1 if dz >= _F0 else -_F1
@@ -52,5 +54,5 @@ def turn(dx, dy, dz, cosine, state):
     x = a * (_F1 + sign * dx * dx * p) + b * q + cosine * dx
     y = a * sign * q + b * (sign + dy * dy * p) + cosine * dy
     z = -a * sign * dx - b * dy + cosine * dz
-    length = _F1 / np.sqrt(x * x + y * y + z * z)
+    length = _F1 / math.sqrt(x * x + y * y + z * z)
     return x * length, y * length, z * length, state

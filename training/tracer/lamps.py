@@ -7,6 +7,7 @@ around each lamp, flights are therefore sampled uniformly in the angle that the 
 and Fajardo 2012). Collisions are connected to the lamp outside the ball only.
 """
 
+import math
 from typing import NamedTuple
 
 import numba
@@ -81,7 +82,7 @@ def _towards(x, y, z, lamps, number, state):
     Its mean over samples is the lamp's irradiance on surfaces that face it, without the medium.
     """
     cx, cy, cz = lamps.centre[number, 0] - x, lamps.centre[number, 1] - y, lamps.centre[number, 2] - z
-    distance = max(np.sqrt(cx * cx + cy * cy + cz * cz), _CLOSE)
+    distance = max(math.sqrt(cx * cx + cy * cy + cz * cz), _CLOSE)
     cx, cy, cz = cx / distance, cy / distance, cz / distance
     radius, intensity = lamps.radius[number], lamps.intensity[number]
     reach, fluence, cone = distance, intensity / (distance * distance), True
@@ -89,22 +90,22 @@ def _towards(x, y, z, lamps, number, state):
         state, bits = draw(state)
         u, _ = two_uniforms(bits)
         if lamps.soft[number]:
-            slant = np.sqrt(distance * distance + radius * radius)
+            slant = math.sqrt(distance * distance + radius * radius)
             fluence = _F2 * intensity / (slant * (slant + distance))
             cosine = _F1 - u * radius * radius / (slant * (slant + distance))
             reach = distance / max(cosine, _CLOSE)
         elif distance > radius:
             ratio = radius / distance
-            least = np.sqrt(max(_F1 - ratio * ratio, _F0))
+            least = math.sqrt(max(_F1 - ratio * ratio, _F0))
             fluence *= _F2 / (_F1 + least)
             cosine = _F1 - u * ratio * ratio / (_F1 + least)
             across = radius * radius - distance * distance * (_F1 - cosine * cosine)
-            reach = distance * cosine - np.sqrt(max(across, _F0))
+            reach = distance * cosine - math.sqrt(max(across, _F0))
         else:
             fluence, cone = _F4 * intensity / (radius * radius), False
             cosine = _F1 - _F2 * u
             across = radius * radius - distance * distance * (_F1 - cosine * cosine)
-            reach = distance * cosine + np.sqrt(max(across, _F0))
+            reach = distance * cosine + math.sqrt(max(across, _F0))
         cx, cy, cz, state = turn(cx, cy, cz, cosine, state)
     if cone:
         level = -(cx * lamps.axis[number, 0] + cy * lamps.axis[number, 1] + cz * lamps.axis[number, 2])
@@ -149,7 +150,7 @@ def flight_light(ray, medium, lamps, number, state):
     along = cx * ray.dx + cy * ray.dy + cz * ray.dz
     square = cx * cx + cy * cy + cz * cz - along * along
     within = lamps.near[number] * lamps.near[number] - square
-    half = np.sqrt(max(within, _F0))
+    half = math.sqrt(max(within, _F0))
     if within <= _F0 or along + half <= _F0:
         return _F0, ray.x, ray.y, ray.z, state
     cells = np.float32(medium.padded.shape[0] - 2)
@@ -157,11 +158,11 @@ def flight_light(ray, medium, lamps, number, state):
     if last <= first:
         return _F0, ray.x, ray.y, ray.z, state
     # Within its radius, a lamp is as bright everywhere.
-    apart = max(np.sqrt(max(square, _F0)), lamps.radius[number], _CLOSE)
-    low, high = np.arctan((first - along) / apart), np.arctan((last - along) / apart)
+    apart = max(math.sqrt(max(square, _F0)), lamps.radius[number], _CLOSE)
+    low, high = math.atan((first - along) / apart), math.atan((last - along) / apart)
     state, bits = draw(state)
     u, _ = two_uniforms(bits)
-    beyond = apart * np.tan(low + u * (high - low))
+    beyond = apart * math.tan(low + u * (high - low))
     t = min(max(along + beyond, first), last)
     x = min(max(ray.x + t * ray.dx, _F0), cells)
     y = min(max(ray.y + t * ray.dy, _F0), cells)

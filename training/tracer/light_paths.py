@@ -5,6 +5,7 @@ The same random walk, of `path_tracer`, is connected to suns and lamps at every 
 its flights, and sees the environments where it leaves. Radiance is per light and per channel of albedo.
 """
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -121,8 +122,8 @@ def _read_albedo(x, y, z, padded, field, albedo):
 @numba.njit(cache=True, fastmath=True)
 def _pixel(ray, rows):
     """Row and column of an environment's image from which light arrives along -ray."""
-    elevation = np.arcsin(min(max(ray.dz, -_F1), _F1)) / np.float32(np.pi)
-    turns = np.arctan2(ray.dy, ray.dx) / np.float32(2.0 * np.pi)
+    elevation = math.asin(min(max(ray.dz, -_F1), _F1)) / np.float32(np.pi)
+    turns = math.atan2(ray.dy, ray.dx) / np.float32(2.0 * np.pi)
     row = min(max(int((_HALF - elevation) * np.float32(rows)), 0), rows - 1)
     column = int((turns + _F1) * np.float32(2 * rows)) % (2 * rows)
     return row, column
@@ -257,6 +258,82 @@ def _emitting_blocks(emission: np.ndarray, blocks: int) -> np.ndarray:
     return emits
 
 
+class Paths(NamedTuple):
+    """Vertices from which paths start, and what they meet; numba kernels take it as it is. Of `PathScene.paths`.
+
+    media, lights: in the frame of the grid's cells. positions: float32 (P, 3), in cells; directions: float32 (P, 3).
+    """
+
+    media: _Media
+    lights: _Illumination
+    positions: np.ndarray
+    directions: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Of all lights, as `Lights.count`."""
+        return len(self.lights.suns) + len(self.lights.lamps.radius) + self.unscattered
+
+    @property
+    def unscattered(self) -> int:
+        """Of environments and emissions."""
+        return len(self.lights.environments) + self.lights.emission.shape[3]
+
+
+@dataclass(frozen=True)
+class PathScene:
+    """A density and what lights it, prepared once for several media; of `PathScene.of`.
+
+    emission: float32 (N + 2, N + 2, N + 2, E), per cell; emits: bool (B, B, B), of `_emitting_blocks`.
+    """
+
+    grid: DensityGrid
+    lights: Lights
+    suns: np.ndarray
+    environments: np.ndarray
+    emission: np.ndarray
+    emits: np.ndarray
+
+    @classmethod
+    def of(cls, grid: DensityGrid, lights: Lights) -> "PathScene":
+        """Raises ValueError where the emission does not fit the grid."""
+        cells, emission = grid.cells, np.asarray(lights.emission, np.float32)
+        if emission.shape[:3] != (cells,) * 3:
+            raise ValueError(f"emission must have the density's shape, not {emission.shape[:3]}")
+        emission = np.ascontiguousarray(np.pad(emission, ((1, 1), (1, 1), (1, 1), (0, 0))) / np.float32(cells))
+        suns = unit_vectors(lights.suns, "suns") if len(lights.suns) else np.zeros((0, 3), np.float32)
+        environments = np.ascontiguousarray(lights.environments, np.float32)
+        return cls(grid, lights, suns, environments, emission, _emitting_blocks(emission, len(grid.majorant)))
+
+    def paths(self, medium: LitMedium, vertices) -> Paths:
+        """From vertices, a pair of positions (P, 3), cube units, and ray directions (P, 3).
+
+        Raises ValueError on shapes that do not fit.
+        """
+        grid, albedo, sigma = self.grid, medium.albedo, medium.sigma
+        cells = grid.cells
+        positions, directions = np.asarray(vertices[0], np.float32), unit_vectors(vertices[1], "directions")
+        if positions.shape != directions.shape or (positions.size and np.abs(positions).max() > 0.5):
+            raise ValueError("vertices must be positions in the cube and as many directions")
+        low = np.atleast_1d(np.asarray(albedo.low, np.float32))
+        varies = albedo.mask is not None
+        masked = np.zeros((1, 1, 1), np.float32)
+        if varies:
+            if albedo.mask.shape != (cells,) * 3:
+                raise ValueError(f"the albedo's mask must have the density's shape, not {albedo.mask.shape}")
+            masked = np.pad(albedo.mask.astype(np.float32), 1) * grid.padded
+        raised = np.where(self.emits, np.maximum(grid.majorant, np.float32(EMISSION_SAMPLES / sigma)), grid.majorant)
+        coefficients = np.float32(sigma / cells), np.float32(medium.anisotropy)
+        media = _Media(
+            GridMedium(*grid, *coefficients),
+            GridMedium(grid.padded, np.ascontiguousarray(raised, np.float32), *coefficients),
+            _Albedo(low, per_point(albedo.high, low.shape, "high") - low, masked, varies),
+        )
+        lamps = place_lamps(self.lights.lamps, grid, sigma)
+        at = np.ascontiguousarray((positions + _HALF) * np.float32(cells))
+        return Paths(media, _Illumination(self.suns, lamps, self.environments, self.emission), at, directions)
+
+
 def trace_lights(grid: DensityGrid, lights: Lights, medium: LitMedium, vertices, sampling: Sampling, threads: int = 1):
     """Radiance towards the camera at vertices, a pair of positions (P, 3), cube units, and ray directions (P, 3).
 
@@ -267,47 +344,22 @@ def trace_lights(grid: DensityGrid, lights: Lights, medium: LitMedium, vertices,
 
     Raises ValueError on shapes that do not fit.
     """
-    cells = grid.cells
-    positions, directions = np.asarray(vertices[0], np.float32), unit_vectors(vertices[1], "directions")
-    if positions.shape != directions.shape or (positions.size and np.abs(positions).max() > 0.5):
-        raise ValueError("vertices must be positions in the cube and as many directions")
-    albedo, sigma = medium.albedo, medium.sigma
-    low = np.atleast_1d(np.asarray(albedo.low, np.float32))
-    varies = albedo.mask is not None
-    masked = np.zeros((1, 1, 1), np.float32)
-    if varies:
-        if albedo.mask.shape != (cells,) * 3:
-            raise ValueError(f"the albedo's mask must have the density's shape, not {albedo.mask.shape}")
-        masked = np.pad(albedo.mask.astype(np.float32), 1) * grid.padded
-    emission = np.asarray(lights.emission, np.float32)
-    if emission.shape[:3] != (cells,) * 3:
-        raise ValueError(f"emission must have the density's shape, not {emission.shape[:3]}")
-    emission = np.ascontiguousarray(np.pad(emission, ((1, 1), (1, 1), (1, 1), (0, 0))) / np.float32(cells))
-    floor = np.float32(EMISSION_SAMPLES / sigma)
-    raised = np.where(_emitting_blocks(emission, len(grid.majorant)), np.maximum(grid.majorant, floor), grid.majorant)
-    coefficients = np.float32(sigma / cells), np.float32(medium.anisotropy)
-    media = _Media(
-        GridMedium(*grid, *coefficients),
-        GridMedium(grid.padded, np.ascontiguousarray(raised, np.float32), *coefficients),
-        _Albedo(low, per_point(albedo.high, low.shape, "high") - low, masked, varies),
-    )
-    illumination = _Illumination(
-        unit_vectors(lights.suns, "suns") if len(lights.suns) else np.zeros((0, 3), np.float32),
-        place_lamps(lights.lamps, grid, sigma),
-        np.ascontiguousarray(lights.environments, np.float32),
-        emission,
-    )
-    at = np.ascontiguousarray((positions + _HALF) * np.float32(cells))
-    radiance = np.empty((len(at), lights.count, len(low)), np.float32)
-    once = np.empty((len(at), len(illumination.environments) + emission.shape[-1]), np.float32)
+    return trace_paths(PathScene.of(grid, lights).paths(medium, vertices), sampling, threads)
+
+
+def trace_paths(paths: Paths, sampling: Sampling, threads: int = 1):
+    """As `trace_lights`."""
+    count = len(paths.positions)
+    radiance = np.empty((count, paths.count, len(paths.media.albedo.low)), np.float32)
+    once = np.empty((count, paths.unscattered), np.float32)
 
     def trace(first: int) -> None:
-        rays = at, directions, (first, min(first + CHUNK, len(at)))
-        _kernel(media, illumination, rays, Sampling(*map(int, sampling)), (radiance, once))
+        rays = paths.positions, paths.directions, (first, min(first + CHUNK, count))
+        _kernel(paths.media, paths.lights, rays, Sampling(*map(int, sampling)), (radiance, once))
 
     # The kernel lets go of Python's lock: threads work, and a signal is seen after a chunk.
     with ThreadPoolExecutor(threads) as pool:
-        chunks = [pool.submit(trace, first) for first in range(0, len(at), CHUNK)]
+        chunks = [pool.submit(trace, first) for first in range(0, count, CHUNK)]
         try:
             for chunk in chunks:
                 chunk.result()

@@ -6,6 +6,7 @@ density, per cell. A majorant per block of cells keeps null collisions rare; ray
 Amanatides and Woo 1987.
 """
 
+import math
 from typing import NamedTuple
 
 import numba
@@ -134,7 +135,7 @@ def delta_track(ray, medium, state, glow=None):
     inverse_sigma = _F1 / sigma
     state, bits = draw(state)
     u, v = two_uniforms(bits)
-    need = -np.log(u) * inverse_sigma
+    need = -math.log(u) * inverse_sigma
     t = _F0
     while True:
         bound = majorant[block.i, block.j, block.k]
@@ -151,7 +152,7 @@ def delta_track(ray, medium, state, glow=None):
                 return True, Ray(x, y, z, ray.dx, ray.dy, ray.dz), state
             state, bits = draw(state)
             u, v = two_uniforms(bits)
-            need = -np.log(u) * inverse_sigma
+            need = -math.log(u) * inverse_sigma
         else:
             need -= supply
             t = face
@@ -175,7 +176,7 @@ def ratio_track(ray, medium, state, reach=_HUGE):
     inverse_sigma = _F1 / sigma
     state, bits = draw(state)
     u, v = two_uniforms(bits)
-    need = -np.log(u) * inverse_sigma
+    need = -math.log(u) * inverse_sigma
     t = _F0
     transmittance = _F1
     while True:
@@ -195,7 +196,7 @@ def ratio_track(ray, medium, state, reach=_HUGE):
                 transmittance *= _F2
             state, bits = draw(state)
             u, v = two_uniforms(bits)
-            need = -np.log(u) * inverse_sigma
+            need = -math.log(u) * inverse_sigma
         else:
             need -= supply
             t = face
