@@ -106,6 +106,15 @@ def test_a_tag_that_is_not_the_version_is_refused():
             build_extension.check_tag(tag)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="takes the Linux zip")
+def test_the_zips_code_renders_with_its_wheels_alone(zips):
+    """What the release's workflow does on each platform."""
+    program = ROOT / "tests" / "support" / "render_with_zip.py"
+    run = subprocess.run([sys.executable, program, ROOT], capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0 and "largest difference" in run.stdout, run.stdout + run.stderr
+
+
 INSTALLED_RENDER = """
     import importlib.util, pathlib, sys
 
