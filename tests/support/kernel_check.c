@@ -83,8 +83,8 @@ static void check_march(int64_t variant, const float *padded, const float *depth
     Scene scene = {.volumes = 1, .suns = 1, .groups = 1, .channels = 1, .scattering = 1, .media = &medium, .group_starts = group_starts,
                    .group_members = members, .nodes = nodes + 1, .node_weights = weights + 1, .depth_samples = 1,
                    .coarse_count = 16, .skip_empty = 1, .step_thickness = 0.3, .step_growth = 8.0,
-                   .peak_thickness = 0.3, .peak_growth = 3.0, .finest = 0.0625, .behind = INFINITY, .behind_emission = INFINITY, .dark = 80.0, .visible = 6.0,
-                   .max_sun_depth = 30.0, .max_tau_sun = 60.0, .max_tau_ahead = 8.0, .scales = {1.0, 0.578, 0.334}};
+                   .peak_thickness = 0.3, .peak_growth = 3.0, .finest = 0.0625, .behind = INFINITY, .behind_emission = INFINITY, .dark = 80.0,
+                   .max_tau_sun = 60.0, .max_tau_ahead = 8.0, .scales = {1.0, 0.578, 0.334}};
     double origin[3] = {-2.0, N / 2, N / 2}, direction[3] = {1.0, 0.0, 0.0}, near_distance = 0.0, far_distance = N + 3.0;
     int64_t (*scratch_bytes)(const Scene *, int64_t) = (int64_t(*)(const Scene *, int64_t))need("mrpnn_scratch_bytes");
     int64_t (*march)(int64_t, const Scene *, const Rays *, Gathered *) =
