@@ -27,6 +27,7 @@ FLAGS = (
     "-fvisibility=hidden",
     "-Wall",
     "-Wextra",
+    "-Wshadow",
     "-Werror",
 )
 # Kinds of x86-64 processors, in the order of dispatch.c.

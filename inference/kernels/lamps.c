@@ -41,11 +41,11 @@ typedef struct {
     int64_t stride, rows, width;
 } Plane;
 
-/* A plane of a grid; others: the other axes. low, high: places between which its rows are wanted. room: for voxels that
+/* A plane of a grid; others: the other axes. low, high: places between which its rows are wanted. scratch: for voxels that
 do not follow each other in the grid. */
 static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int *others, double low, double high,
-                      float *room) {
-    Plane plane = {room, grid->shape[others[1]], grid->shape[others[0]], grid->shape[others[1]]};
+                      float *scratch) {
+    Plane plane = {scratch, grid->shape[others[1]], grid->shape[others[0]], grid->shape[others[1]]};
     int64_t begin = (int64_t)larger(floor(smaller(low, (double)plane.rows + 1.0)) - 1.0, 0.0);
     int64_t end = (int64_t)smaller(floor(larger(high, -3.0)) + 3.0, (double)plane.rows);
     if (!grid->table) {
@@ -57,7 +57,7 @@ static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int 
             return plane;
         }
         for (int64_t i = begin; i < end; i++) {
-            for (int64_t n = 0; n < plane.width; n++) room[i * plane.width + n] = first[i * row + n * step];
+            for (int64_t n = 0; n < plane.width; n++) scratch[i * plane.width + n] = first[i * row + n * step];
         }
         return plane;
     }
@@ -69,7 +69,7 @@ static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int 
             place[others[1]] = n + grid->first[others[1]];
             int64_t block = ((place[0] >> 3) * grid->size[1] + (place[1] >> 3)) * grid->size[2] + (place[2] >> 3);
             int64_t voxel = (place[0] & 7) * 64 + (place[1] & 7) * 8 + (place[2] & 7);
-            room[row * plane.width + n] = block_values(grid, block)[voxel];
+            scratch[row * plane.width + n] = block_values(grid, block)[voxel];
         }
     }
     return plane;
@@ -104,7 +104,7 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
     int axis = (int)data->axis, others[2] = {axis == 0 ? 1 : 0, axis == 2 ? 1 : 2};
     int64_t width = data->density.shape[others[1]], last = data->density.shape[axis] - 1;
     int64_t b = pyramid->size[0], c = pyramid->size[1];
-    float *weights = data->scratch, *density = weights + 4 * c, *line = density + c + 3, *room = line + width + 3;
+    float *weights = data->scratch, *density = weights + 4 * c, *line = density + c + 3, *scratch = line + width + 3;
     for (int64_t n = 0; n < 3; n++) line[-1 - n] = line[width + n] = 0.0f;
     if (data->inside && data->planes > 0) {
         Floats place[3];
@@ -118,7 +118,7 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
         float *out = data->slices[p] ? pyramid->depths + within(data->slices[p], pyramid->slices - 1) * b * c : NULL;
         double across = data->lamp[others[0]] + along * pyramid->first[0], apart = along * pyramid->spacing[0];
         Plane plane = plane_of(&data->density, axis, within(data->numbers[p], last), others, across,
-                               across + apart * (double)(b - 1), room);
+                               across + apart * (double)(b - 1), scratch);
         int filled = data->numbers[p] >= 0 && data->numbers[p] <= last;
         double first = data->lamp[others[1]] + along * pyramid->first[1], step = along * pyramid->spacing[1];
         /* The columns that any of the row's voxels reaches. */

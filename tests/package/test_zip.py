@@ -69,6 +69,9 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
         assert said["platforms"] == [platform]
         # Libraries come in wheels alone.
         assert not [name for name in names if name.endswith((".pyc", ".pt", ".so", ".dll", ".dylib", ".c"))]
+        # Python reads the structures that it shares with them from these.
+        headers = {"inference/kernels/fields.h", "inference/kernels/kernels.h"}
+        assert {name for name in names if name.endswith(".h")} == headers
         assert "inference/weights/mrpnn.onnx" in names and "inference/weights/rpnn.onnx" not in names
         assert {"inference/weights/uncertainty/mrpnn.onnx", "inference/weights/uncertainty/mrpnn.sha256"} <= set(names)
 

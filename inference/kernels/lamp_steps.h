@@ -1,0 +1,445 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* Light of lamps in the steps of a ray. */
+
+#ifndef MRPNN_LAMP_STEPS_H
+#define MRPNN_LAMP_STEPS_H
+
+#include "samples.h"
+
+/* Phase function, 1/sr, of a lamp's light towards the camera at a point that lies `behind` the place where the ray
+passes the lamp; passing: square of the lamp's distance from the ray, distance: from the point. */
+static inline double scattered_back(const float *phase, double behind, double passing, double distance) {
+    /* The square root of 1 - |cosine|, without cancellation. */
+    double place = sqrt(passing / larger(distance * (distance + fabs(behind)), 1e-60)) * MRPNN_PHASES;
+    const float *table = phase + (behind > 0.0 ? MRPNN_PHASES + 1 : 0);
+    place = place < MRPNN_PHASES ? place : MRPNN_PHASES;
+    int64_t cell = within((int64_t)place, MRPNN_PHASES - 1);
+    return table[cell] + (place - (double)cell) * (table[cell + 1] - table[cell]);
+}
+
+/* As scattered_back, of several points. */
+static inline Floats scattered_back_at(const float *phase, Doubles behind, Doubles passing) {
+    Floats along = __builtin_convertvector(behind, Floats), size = choose(along > 0.0f, along, -along);
+    Floats square = __builtin_convertvector(behind * behind + passing, Floats);
+    square = clamped_to(square, in_all(1e-30f), in_all(1e30f));
+    Floats distance = square * inverse_roots(square);
+    Floats share = __builtin_convertvector(passing, Floats) / (distance * (distance + size));
+    share = clamped_to(share, in_all(1e-30f), in_all(1.0f));
+    Floats place = share * inverse_roots(share) * (float)MRPNN_PHASES, here, next;
+    Ints cell = ints_within(to_ints(place), MRPNN_PHASES - 1);
+    FOR_LANES(n) {
+        const float *at = phase + (along[n] > 0.0f ? MRPNN_PHASES + 1 : 0) + cell[n];
+        here[n] = at[0], next[n] = at[1];
+    }
+    return lerp_lanes(here, next, least_of(place - to_floats(cell), in_all(1.0f)));
+}
+
+/* A ray as a part of a lamp sees it. */
+typedef struct {
+    const Emitter *emitter;
+    const Ray *ray;
+    double origin[3];  /* of the ray, from the part */
+    double nearest;    /* distance on the ray to where it passes the part, */
+    double passing;    /* and the square of the part's distance from there */
+    double lit[2];     /* distances from there between which the part may light the ray */
+} Pass;
+
+static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
+    Pass pass = {.emitter = emitter, .ray = ray};
+    for (int k = 0; k < 3; k++) pass.origin[k] = ray->origin[k] - emitter->position[k];
+    pass.nearest = -dot_of(pass.origin, ray->direction);
+    for (int k = 0; k < 3; k++) {
+        double across = pass.origin[k] + pass.nearest * ray->direction[k];
+        pass.passing += across * across;
+    }
+    lit_interval(emitter, ray->origin, ray->direction, pass.lit);
+    for (int k = 0; k < 2; k++) pass.lit[k] -= pass.nearest;
+    return pass;
+}
+
+/* Turn the direction from a part of a spot to a point into the cone, within which all its light travels: where a ray
+passes a light that is seen in that direction at the distance 1. */
+static inline void turn_into_cone(const Pass *pass, double *behind, double *passing) {
+    const Emitter *emitter = pass->emitter;
+    double away[3], direction[3];
+    for (int k = 0; k < 3; k++) away[k] = pass->origin[k] + (pass->nearest + *behind) * pass->ray->direction[k];
+    double distance = larger(sqrt(dot_of(away, away)), 1e-30), level = dot_of(away, emitter->axis) / distance, tilt = 0.0;
+    if (!(level < emitter->cosine)) return;
+    for (int k = 0; k < 3; k++) {
+        away[k] = away[k] / distance - level * emitter->axis[k];
+        tilt += away[k] * away[k];
+    }
+    double across = sqrt(larger(1.0 - emitter->cosine * emitter->cosine, 0.0)) / larger(sqrt(tilt), 1e-30);
+    for (int k = 0; k < 3; k++) direction[k] = emitter->cosine * emitter->axis[k] + across * away[k];
+    *behind = larger(smaller(dot_of(direction, pass->ray->direction), 1.0), -1.0);
+    *passing = 1.0 - *behind * *behind;
+}
+
+/* Add the single scattering of one step that is not far shorter than its distance to a part of a lamp: the nodes lie in
+the angle under which that sees the step, in which the inverse square is constant.
+
+ends: of the step, from where the ray passes the part. weight: of its light. */
+static void add_bent(const Scene *scene, const Pass *pass, const double *ends, double weight, int64_t s,
+                     const Work *work, double *single, int64_t stride) {
+    const Emitter *emitter = pass->emitter;
+    double begin = ends[0], end = ends[1], length = end - begin;
+    double height = sqrt(pass->passing + emitter->extent * emitter->extent + 1e-6 * length * length);
+    double from = atan2(begin, height), turn = atan2(end, height) - from;
+    for (int64_t node = 0; node < scene->wide_count; node++) {
+        double behind = height * tan(from + scene->wide_nodes[node] * turn), point[3];
+        double light = scene->wide_weights[node] * turn * (height * height + behind * behind) / height;
+        for (int k = 0; k < 3; k++) {
+            point[k] = emitter->position[k] + pass->origin[k] + (pass->nearest + behind) * pass->ray->direction[k];
+        }
+        light *= emitter_fluence(emitter, point) * weight;
+        double passing = pass->passing;
+        if (emitter->cone) turn_into_cone(pass, &behind, &passing);
+        double distance = sqrt(passing + behind * behind);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            if (!(work->sigma[v * work->stride + s] > 0.0f)) continue;
+            double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
+            for (int64_t c = 0; c < scene->scattering; c++) {
+                single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
+            }
+        }
+    }
+}
+
+/* Add the single scattering of a node of some steps: where it lies behind the place where the ray passes the part, and
+the light there times the length that it stands for. */
+static inline void add_node(const Scene *scene, const Pass *pass, Ints some, Doubles behind, Floats light, int64_t first,
+                            const Work *work, double *single, int64_t stride) {
+    Doubles passing = (Doubles){0} + pass->passing;
+    if (pass->emitter->cone) {
+        FOR_LANES(n) {
+            double place = behind[n], apart = pass->passing;
+            turn_into_cone(pass, &place, &apart);
+            behind[n] = place, passing[n] = apart;
+        }
+    }
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        Ints filled = some & (load(work->sigma + v * work->stride + first) > 0.0f);
+        if (!any_lane(filled)) continue;
+        Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, passing);
+        for (int64_t c = 0; c < scene->scattering; c++) {
+            Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
+            double sum = 0.0;
+            FOR_LANES(n) sum += filled[n] ? (double)found[n] : 0.0;
+            single[v * stride + c] += sum;
+        }
+    }
+}
+
+/* Single scattering of one part of a lamp: as add_single, with the integrals over steps of its fluence times the phase
+function: of one node in the middle of steps that are very short for their distance, of two in others, and in steps
+that are not far shorter than it those of add_bent. */
+static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
+                        int64_t stride) {
+    const Pass pass = pass_of(emitter, ray);
+    double wide = scene->wide * scene->wide, brief = scene->brief * scene->brief;
+    double extent = pass.passing + emitter->extent * emitter->extent;
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
+        Floats weight = load(work->transmitted + first) * mean_transmittance(start, end) * load(work->visible + first);
+        Ints filled = (load(work->total + first) > 0.0f) & (weight > 0.0f);
+        if (!any_lane(filled)) continue;
+        Doubles begin, length;
+        for (int n = 0; n < LANES; n += STEPS) {
+            int64_t block = least_int((first + n) / STEPS, work->blocks - 1);
+            for (int k = 0; k < STEPS; k++) {
+                begin[n + k] = work->place[block] + (double)k * work->size[block], length[n + k] = work->size[block];
+                if ((first + n) / STEPS >= work->blocks) filled[n + k] = 0;
+            }
+        }
+        begin = ray->near + begin * ray->dt - pass.nearest;
+        length *= ray->dt;
+        Ints cut = (Ints){0};
+        if (emitter->cone) {
+            FOR_LANES(n) {
+                double from = larger(begin[n], pass.lit[0]), to = smaller(begin[n] + length[n], pass.lit[1]);
+                if (!(to > from)) filled[n] = 0;
+                if (!(from > begin[n] || to < begin[n] + length[n])) continue;
+                cut[n] = -1, begin[n] = from, length[n] = larger(to - from, 0.0);
+            }
+            if (!any_lane(filled)) continue;
+        }
+        Doubles middle = begin + 0.5 * length, square = length * length, away = extent + middle * middle;
+        Ints not_brief = cut | __builtin_convertvector(square > brief * away, Ints);
+        Ints bent = filled & not_brief & __builtin_convertvector(square > wide * away, Ints);
+        Ints once = filled & ~not_brief, straight = filled & not_brief & ~bent;
+        for (int n = 0; n < LANES && any_lane(bent); n++) {
+            if (!bent[n]) continue;
+            double ends[2] = {begin[n], begin[n] + length[n]};
+            add_bent(scene, &pass, ends, (double)weight[n], first + n, work, single, stride);
+        }
+        weight *= __builtin_convertvector(length, Floats);
+        if (any_lane(once)) {
+            Floats light = load(work->light + first) * weight;
+            add_node(scene, &pass, once, begin + 0.5 * length, light, first, work, single, stride);
+        }
+        if (!any_lane(straight)) continue;
+        for (int node = 0; node < 2; node++) {
+            Doubles behind = begin + GAUSS_NODES[node] * length, point[3];
+            for (int k = 0; k < 3; k++) {
+                point[k] = (emitter->position[k] + pass.origin[k]) + (pass.nearest + behind) * ray->direction[k];
+            }
+            Floats light = emitter_fluences(emitter, point) * (0.5f * weight);
+            add_node(scene, &pass, straight, behind, light, first, work, single, stride);
+        }
+    }
+}
+
+/* Places within steps, in the world. The last step again where there are no more. */
+static inline void points_in(const Ray *ray, const Work *work, const int64_t *numbers, const float *inside, int64_t count,
+                             int64_t first, Doubles *point) {
+    Doubles distance;
+    FOR_LANES(n) {
+        int64_t k = least_int(first + n, count - 1);
+        distance[n] = ray->near + place_in(work, numbers ? numbers[k] : k, inside ? (double)inside[k] : 0.5) * ray->dt;
+    }
+    for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+}
+
+/* What a part of a lamp gives to the middles of steps without what lies in between, in `light`; it is added, as often as
+there are parts that give the same, to what all of them give, and to what they would if they faced the steps. */
+static void look_up_fluence(const Emitter *emitter, const Ray *ray, float alike, int features, Work *work) {
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Doubles point[3];
+        points_in(ray, work, NULL, NULL, steps, first, point);
+        Floats found = emitter_fluences(emitter, point);
+        store(work->light + first, found);
+        if (!features) continue;
+        store(work->given + first, load(work->given + first) + alike * found);
+        store(work->reference + first, load(work->reference + first) + alike * brightest_of(emitter, point));
+    }
+}
+
+/* List the ends of blocks. */
+static void list_nodes(Work *work) {
+    work->nodes = 0;
+    for (int64_t b = 0; b < work->blocks; b++) {
+        double end = work->place[b] + STEPS * work->size[b];
+        int joined = b > 0 && work->place[b] == work->node_place[work->nodes - 1];
+        if (!joined) work->node_place[work->nodes++] = work->place[b];
+        work->first_node[b] = (int32_t)(work->nodes - 1);
+        work->node_place[work->nodes++] = end;
+    }
+}
+
+/* Add what a part of a lamp gives to the ends of blocks. */
+static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *ray, int features, Work *work) {
+    const Pass pass = pass_of(emitter, ray);
+    for (int64_t first = 0; first < work->nodes; first += LANES) {
+        Doubles distance, point[3];
+        FOR_LANES(n) distance[n] = ray->near + work->node_place[least_int(first + n, work->nodes - 1)] * ray->dt;
+        for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
+        Floats found = emitter_fluences(emitter, point);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            float *light = work->node_light + v * work->stride + first;
+            Doubles passing = (Doubles){0} + pass.passing;
+            store(light, load(light) + found * scattered_back_at(scene->media[v].phase, distance - pass.nearest, passing));
+        }
+        if (!features) continue;
+        store(work->node_given + first, load(work->node_given + first) + found);
+        store(work->node_reference + first, load(work->node_reference + first) + brightest_of(emitter, point));
+    }
+}
+
+static void clear_nodes(const Scene *scene, Work *work) {
+    size_t size = (size_t)(work->nodes + LANES - 1) / LANES * LANES * sizeof(float);
+    for (int64_t v = 0; v < scene->volumes; v++) memset(work->node_light + v * work->stride, 0, size);
+    memset(work->node_given, 0, size);
+    memset(work->node_reference, 0, size);
+}
+
+/* Interpolate between the ends of blocks: at the middles of steps, which are whole lanes. */
+static void spread(const float *at_nodes, const Work *work, float *out) {
+    const Floats share = {0.125f, 0.375f, 0.625f, 0.875f, 0.125f, 0.375f, 0.625f, 0.875f};
+    for (int64_t b = 0; b < work->blocks; b += LANES / STEPS) {
+        int32_t node = work->first_node[b], next = work->first_node[least_int(b + 1, work->blocks - 1)];
+        float a = at_nodes[node], c = at_nodes[next];
+        float more = at_nodes[node + 1] - a, further = at_nodes[next + 1] - c;
+        const Floats start = {a, a, a, a, c, c, c, c}, rise = {more, more, more, more, further, further, further, further};
+        store(out + STEPS * b, start + share * rise);
+    }
+}
+
+/* Single scattering, and what the middles of steps are given, from the light at the ends of blocks. */
+static void add_from_nodes(const Scene *scene, int features, Work *work, double *single, int64_t stride) {
+    int64_t steps = STEPS * work->blocks;
+    float *weight = work->received, *light = work->light;
+    for (int64_t s = 0; s < steps; s += LANES) {
+        Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
+        Floats passed = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
+        store(weight + s, passed * load(work->visible + s));
+    }
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        spread(work->node_light + v * work->stride, work, light);
+        for (int64_t s = 0; s < steps; s += LANES) store(light + s, load(light + s) * load(weight + s));
+        for (int64_t c = 0; c < scene->scattering; c++) {
+            single[v * stride + c] += sum_of(scattering_of(scene, work, v, c), light, work);
+        }
+    }
+    if (!features) return;
+    spread(work->node_reference, work, light);
+    for (int64_t s = 0; s < steps; s += LANES) store(work->reference + s, load(work->reference + s) + load(light + s));
+    spread(work->node_given, work, light);
+    for (int64_t s = 0; s < steps; s += LANES) store(work->given + s, load(work->given + s) + load(light + s));
+}
+
+/* Optical depths of all light of a lamp, at the ends of filled steps, in the only volume. */
+static void look_up_mean(const Scene *scene, const Grid *mean, int64_t edges, Work *work) {
+    float dark = (float)scene->dark;
+    for (int64_t s = 0; s < STEPS * work->blocks; s++) work->start[s] = work->end[s] = dark;
+    for (int64_t e = 0; e < edges; e += LANES) {
+        double place[LANES];
+        Floats position[3];
+        FOR_LANES(n) place[n] = work->edge_place[least_int(e + n, edges - 1)];
+        positions_at(work->lines, place, position);
+        for (int axis = 0; axis < 3; axis++) position[axis] = position[axis] + 1.0f;
+        store_at_edges(work, e, (int)least_int(edges - e, LANES), sample_grid(mean, position), work->start, work->end);
+    }
+}
+
+/* Distance of a lamp's centre from the blocks of a ray. */
+static double distance_of(const Lamp *lamp, const Ray *ray, const Work *work) {
+    double away[3], begin = ray->near + work->place[0] * ray->dt, square = 0.0;
+    double end = ray->near + (work->place[work->blocks - 1] + STEPS * work->size[work->blocks - 1]) * ray->dt;
+    for (int k = 0; k < 3; k++) away[k] = lamp->centre[k] - ray->origin[k];
+    double nearest = larger(smaller(dot_of(away, ray->direction), end), begin);
+    for (int k = 0; k < 3; k++) square += (away[k] - nearest * ray->direction[k]) * (away[k] - nearest * ray->direction[k]);
+    return sqrt(square);
+}
+
+/* What stands for the light of a lamp in ray features: what it gives, but no less than a part of what it would if it
+faced the point. */
+static inline Floats reference_of(Floats given, Floats most) {
+    most *= LEAST_FACING;
+    return clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
+}
+
+/* The light of a lamp at the samples of a ray on a coarse scale. */
+static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
+    for (int64_t first = 0; first < count; first += LANES) {
+        Doubles point[3];
+        Floats given = in_all(0.0f), most = in_all(0.0f);
+        points_in(ray, work, work->sample_step, work->sample_inside, count, first, point);
+        for (int64_t e = 0; e < lamp->emitters; e++) {
+            given += emitter_fluences(lamp->parts + e, point);
+            most += brightest_of(lamp->parts + e, point);
+        }
+        Floats coarse = softened_all(reference_of(given, most), scene->lamp_radius);
+        for (int n = 0; n < LANES && first + n < count; n++) {
+            work->sample_light[first + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
+        }
+    }
+}
+
+/* Add the light of a part of a lamp behind the optical depths, and what surfaces let through of it, to those of all. */
+static void add_part(const Scene *scene, int alone, Work *work) {
+    int64_t stride = work->stride, steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats found = load(work->light + first), next = found;
+        Ints known = load(work->total + first) > 0.0f;
+        store(work->lit + first, load(work->lit + first) + found * load(work->visible + first));
+        if (alone) continue;
+        /* The edge between two steps belongs to the second. */
+        FOR_LANES(n) {
+            if (n % STEPS < STEPS - 1 && known[n + 1]) next[n] = found[n + 1];
+        }
+        for (int64_t g = 0; g < scene->groups; g++) {
+            float *starts = work->mean_start + g * stride + first, *ends = work->mean_end + g * stride + first;
+            store(starts, load(starts) + found * transmittance(load(work->start + g * stride + first)));
+            store(ends, load(ends) + next * transmittance(load(work->end + g * stride + first)));
+        }
+    }
+}
+
+/* A mean transmittance as an optical depth: the light behind it over that without. */
+static inline float depth_of(float passed, float given, float dark) {
+    float mean = given > 1e-30f ? passed / given : 0.0f;
+    return least(-logf(mean > 1e-30f ? mean : 1e-30f), dark);
+}
+
+/* A lamp as one light: what it is on a coarse scale, what is let through of that, and its optical depths. */
+static void join_parts(const Scene *scene, int alone, Work *work) {
+    int64_t stride = work->stride, steps = STEPS * work->blocks;
+    for (int64_t first = 0; first < steps; first += LANES) {
+        Floats reference = reference_of(load(work->given + first), load(work->reference + first));
+        Floats coarse = softened_all(reference, scene->lamp_radius);
+        store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
+        store(work->lit + first, load(work->lit + first) / reference);
+    }
+    for (int64_t g = 0; g < scene->groups && !alone; g++) {
+        float *start = work->start + g * stride, *end = work->end + g * stride, dark = (float)scene->dark;
+        for (int64_t s = 0; s < steps; s++) {
+            int64_t next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? s + 1 : s;
+            int known = work->total[s] > 0.0f;
+            start[s] = known ? depth_of(work->mean_start[g * stride + s], work->given[s], dark) : dark;
+            end[s] = known ? depth_of(work->mean_end[g * stride + s], work->given[next], dark) : dark;
+        }
+    }
+}
+
+/* Single scattering and ray features of a lamp of power 1; count: of samples with features. */
+static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edges, int64_t count, Work *work, int64_t r,
+                     Gathered *out) {
+    const Lamp *lamp = scene->lamp_list + k;
+    int64_t most_steps = work->stride, steps = STEPS * work->blocks;
+    int64_t stride = scene->lamps * scene->scattering;
+    double *single = out->lamp_scattering + r * scene->volumes * stride + k * scene->scattering;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        for (int64_t c = 0; c < scene->scattering; c++) single[v * stride + c] = 0.0;
+    }
+    int64_t whole = (steps + LANES - 1) / LANES * LANES;
+    for (int64_t s = 0; s < whole; s++) {
+        work->lit[s] = work->given[s] = work->reference[s] = 0.0f, work->visible[s] = 1.0f;
+    }
+    for (int64_t g = 0; g < scene->groups; g++) {
+        for (int64_t s = 0; s < steps; s++) work->mean_start[g * most_steps + s] = work->mean_end[g * most_steps + s] = 0.0f;
+    }
+    if (!work->blocks) return;
+    double distance = distance_of(lamp, ray, work), longest = 0.0;
+    for (int64_t b = 0; b < work->blocks; b++) longest = larger(longest, work->size[b]);
+    int mean = lamp->mean && distance >= lamp->mean_from, alone = lamp->emitters == 1 || mean;
+    int smooth = STEPS * longest * ray->dt <= lamp->smooth * (distance - lamp->reach);
+    if (mean) look_up_mean(scene, lamp->mean, edges, work);
+    if (smooth) clear_nodes(scene, work);
+    for (int64_t e = 0; e < lamp->emitters; e++) {
+        if (!mean) look_up_depths(scene, 0, lamp->columns + e * scene->volumes, edges, work);
+        for (int64_t s = 0; s < steps && lamp->shadow_maps; s++) {
+            double along = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
+            if (!(work->total[s] > 0.0f)) continue;
+            for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + along * ray->direction[j];
+            work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
+        }
+        if (smooth) {
+            add_at_nodes(scene, lamp->parts + e, ray, count > 0, work);
+            if (mean && e + 1 < lamp->emitters) continue;
+            add_from_nodes(scene, count > 0, work, single, stride);
+            if (!mean) clear_nodes(scene, work);
+        } else {
+            /* All parts of a sphere give the same. */
+            int alike = !lamp->parts[e].flat && !lamp->parts[e].cone;
+            float times = alike ? (float)lamp->emitters : 1.0f;
+            if (!alike || e == 0) look_up_fluence(lamp->parts + e, ray, times, count > 0, work);
+            add_emitter(scene, lamp->parts + e, ray, work, single, stride);
+        }
+        if (count) add_part(scene, alone, work);
+    }
+    if (count) {
+        light_samples(scene, lamp, ray, count, work);
+        join_parts(scene, alone, work);
+    }
+    for (int64_t g = 0; g < scene->groups && count; g++) {
+        look_up_source(scene, scene->lamp_fluence + g, g, k, ray, work);
+        Gathering of = {.fluence = scene->lamp_fluence + g, .visible = work->lit, .received = work->received,
+                        .unit = work->sample_light, .stride = scene->groups * scene->lamps * COLUMNS};
+        of.features = out->lamp_features + out->samples * of.stride + (g * scene->lamps + k) * COLUMNS;
+        gather_features(scene, g, &of, count, work);
+    }
+}
+
+#endif

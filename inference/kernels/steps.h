@@ -1,0 +1,383 @@
+/* SPDX-License-Identifier: GPL-3.0-or-later */
+/* A camera ray cut into steps, which come in blocks of equal steps: blocks that hold no density are passed over, dense
+ones are cut into smaller ones. What remains of a ray are arrays over its steps. Places on a ray are counted in its
+coarse steps. */
+
+#ifndef MRPNN_STEPS_H
+#define MRPNN_STEPS_H
+
+#include <math.h>
+
+#include "kernels.h"
+#include "sampling.h"
+
+/* Steps per block, points per step at which density is sampled, and columns of the ray features. */
+#define STEPS 4
+#define SAMPLES 2
+#define INTEGRALS 5
+#define COLUMNS (2 + INTEGRALS)
+
+/* How often a block may be cut, and into how many at a time. */
+#define LEVELS 7
+#define MOST_PARTS 8
+
+/* Coarse blocks that are sampled together, before it is known whether the ray ends in front of them: processors compute
+side by side what does not depend on each other. An even number. */
+#define AHEAD 8
+
+/* One number per step of a block. */
+typedef float Steps __attribute__((vector_size(4 * STEPS)));
+
+/* A ray as continuous indices into some frame: first + place * slope. */
+typedef struct {
+    double first[3], slope[3];
+    double blocks_per_cell;  /* coarse blocks, by the axis along which cells of density follow each other fastest */
+} Line;
+
+/* One ray between two distances. */
+typedef struct {
+    const double *origin, *direction;
+    double near;
+    int64_t count;  /* coarse steps, and their length */
+    double dt;
+} Ray;
+
+/* Scratch memory for one ray of up to `most_blocks` blocks; those of coarse blocks that are looked at ahead follow them. */
+typedef struct {
+    int64_t most_blocks;
+    int64_t stride;              /* steps of all of these */
+    int64_t blocks;
+    int64_t looked_at;           /* blocks, also those that are not kept */
+    double *place, *size;        /* (blocks), where each block begins, and the size of its steps */
+    float *dt;                   /* (steps), length */
+    double *before;              /* (blocks + 1), optical depth from the ray's start */
+    float *sigma;                /* (volumes, steps), extinction */
+    float *scattering;           /* (scattering, volumes, steps), of volumes whose albedo varies */
+    float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
+    float *far;                  /* (blocks), transmitted to the block's start */
+    float *transmitted;          /* (steps), to the step's start */
+    float *start, *end;          /* (groups, steps) each, optical depth of a group towards a light at the ends of steps */
+    float *whole_start, *whole_end;  /* (steps), of all volumes; those of the group if there is one alone */
+    float *visible;              /* (steps) */
+    float *source;               /* (steps), scattered light */
+    float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
+    float *given, *reference;    /* (steps), fluence of a lamp, and what stands for it in ray features */
+    float *lit, *received;       /* (steps), what of it surfaces let through, and what it is on a coarse scale */
+    int64_t nodes;               /* ends of blocks; one that two blocks share counts once */
+    double *node_place;          /* (steps; at most twice as many as blocks), where they are on the ray */
+    int32_t *first_node;         /* (blocks), at the start of each block, which the one at its end follows */
+    float *node_light;           /* (volumes, steps), light of a lamp that each volume scatters towards the camera */
+    float *node_given, *node_reference;  /* (steps), as `given` and `reference` */
+    float *group_tau;            /* (groups, steps) */
+    float *light;                /* (steps) */
+    double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
+    float *edge_depth;
+    int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
+    Line *lines;                 /* (volumes) */
+    int64_t *cells;              /* (volumes, LANES), around blocks that follow each other */
+    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block; 2: no density */
+    int64_t *sample_step;        /* (depth samples), among the steps above */
+    float *sample_inside;        /* (depth samples), position in the step */
+    float *sample_light;         /* (depth samples), fluence of a lamp on a coarse scale */
+} Work;
+
+static inline Line line_in(const double *linear, const double *offset, const Ray *ray) {
+    Line line;
+    for (int i = 0; i < 3; i++) {
+        double start = 0.0, slope = 0.0;
+        for (int j = 0; j < 3; j++) {
+            start += linear[3 * i + j] * (ray->origin[j] + ray->near * ray->direction[j]);
+            slope += linear[3 * i + j] * ray->direction[j];
+        }
+        line.first[i] = start + offset[i];
+        line.slope[i] = slope * ray->dt;
+    }
+    line.blocks_per_cell = 0.0;
+    return line;
+}
+
+/* The line through a volume, whose cells it passes. */
+static inline Line line_through(const Medium *medium, const Ray *ray) {
+    Line line = line_in(medium->linear, medium->offset, ray);
+    double x = fabs(line.slope[0]), y = fabs(line.slope[1]), z = fabs(line.slope[2]);
+    line.blocks_per_cell = 1.0 / ((x > y ? (x > z ? x : z) : (y > z ? y : z)) * medium->occupancy.scale * STEPS);
+    return line;
+}
+
+static inline void position_at(const Line *line, double place, float *position) {
+    for (int axis = 0; axis < 3; axis++) position[axis] = (float)(place * line->slope[axis] + line->first[axis]);
+}
+
+/* As position_at, of several places. */
+static inline void positions_at(const Line *line, const double *places, Floats *position) {
+    Pairs place;
+    memcpy(&place, places, sizeof place);
+    for (int axis = 0; axis < 3; axis++) {
+        position[axis] = __builtin_convertvector(place * line->slope[axis] + line->first[axis], Floats);
+    }
+}
+
+/* Positions of the samples of one block: SAMPLES for each of STEPS steps. */
+static inline void positions_in_block(const Line *line, double place, double size, Floats *position) {
+    const Floats samples = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
+    for (int axis = 0; axis < 3; axis++) {
+        position[axis] = samples * (float)(size * line->slope[axis]) + (float)(place * line->slope[axis] + line->first[axis]);
+    }
+}
+
+/* What a grid holds at the samples of one block. */
+static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
+    Floats position[3];
+    positions_in_block(line, place, size, position);
+    return sample_grid(grid, position);
+}
+
+/* What is known of the neighbourhood of a block before it is sampled. */
+typedef struct {
+    int near;        /* whether any volume may hold something, */
+    double peak;     /* the largest extinction that there may be */
+    int64_t empty;   /* coarse blocks behind this one that are known to be empty */
+} Nearby;
+
+/* Whether a volume may hold something in a block whose middle lies in a cell. nearby: what is known of other volumes, to
+which this one is added. */
+static inline int cell_near(const Scene *scene, const Medium *medium, const Line *line, int64_t cell, Nearby *nearby) {
+    const Occupancy *cells = &medium->occupancy;
+    int64_t clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
+    if (clearance > 1) {
+        /* Blocks are judged by the cells of their middles, which are rounded. */
+        double blocks = ((double)clearance - 1.01) * line->blocks_per_cell;
+        empty = blocks >= 1.0 && blocks < FAR_AWAY ? (int64_t)blocks : 0;
+    }
+    if (empty < nearby->empty) nearby->empty = empty;
+    if (clearance > 0) return 0;
+    nearby->near = 1;
+    nearby->peak += (double)cells->peaks[cell] * medium->sigma_t;
+    return 1;
+}
+
+/* As cell_near, for a block anywhere. */
+static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
+                             Nearby *nearby) {
+    float position[3];
+    position_at(line, place + 0.5 * STEPS * size, position);
+    return cell_near(scene, medium, line, cell_around(&medium->occupancy, position), nearby);
+}
+
+/* What is known of all volumes around a block; near: (volumes), whether each may hold something there. */
+static inline Nearby look_around(const Scene *scene, const Work *work, double place, double size, uint8_t *near) {
+    Nearby nearby = {0, 0.0, INT64_MAX};
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        near[v] = (uint8_t)block_near(scene, scene->media + v, work->lines + v, place, size, &nearby);
+    }
+    return nearby;
+}
+
+static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
+    int64_t count = rays->counts[number];
+    ray->origin = rays->origins + 3 * number;
+    ray->direction = rays->directions + 3 * number;
+    ray->near = rays->near_distance[number];
+    ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
+    ray->dt = (rays->far_distance[number] - ray->near) / (double)ray->count;
+}
+
+/* Means over the steps of a block, of samples; 0 where steps begin behind the ray's end. */
+static inline Steps step_means(Floats samples, const Ray *ray, double place, double size) {
+    Steps first = __builtin_shufflevector(samples, samples, 0, 2, 4, 6);
+    Steps second = __builtin_shufflevector(samples, samples, 1, 3, 5, 7);
+    Steps means = 0.5f * first + 0.5f * second;
+    for (int k = 0; k < STEPS && !(place + (STEPS - 1) * size < (double)ray->count); k++) {
+        if (!(place + k * size < (double)ray->count)) means[k] = 0.0f;
+    }
+    return means;
+}
+
+/* Extinction and optical thickness of the steps of a block, which are left as those from `at` on.
+
+near: (volumes), 1 for those that may hold density there. */
+static inline void sample_media(const Scene *scene, const Ray *ray, double place, double size, const uint8_t *near,
+                                int64_t at, Work *work) {
+    float *sums = work->within + at;
+    Steps total = {0.0f}, tau;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        const Medium *medium = scene->media + v;
+        Steps sigma = {0.0f};
+        if (near[v] == 1 && medium->sigma_t > 0.0) {
+            Floats samples = sample_block(&medium->density, work->lines + v, place, size);
+            sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
+        }
+        memcpy(work->sigma + v * work->stride + at, &sigma, sizeof sigma);
+        total += sigma;
+    }
+    tau = total * (float)(ray->dt * size);
+    memcpy(work->total + at, &total, sizeof total);
+    memcpy(work->tau + at, &tau, sizeof tau);
+    sums[0] = tau[0];
+    for (int k = 1; k < STEPS; k++) sums[k] = sums[k - 1] + tau[k];
+}
+
+/* Into how many parts a block is cut, by the optical depth in front of it: 1 where its steps are thin enough. */
+static int parts_of(const Scene *scene, const float *tau, double reached, double size, double peak) {
+    double depth = reached < 600.0 ? reached : 600.0, thickest = 0.0;
+    for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
+    int parts = 1;
+    /* What is allowed only grows with depth. */
+    if (thickest > scene->step_thickness) {
+        double allowed = scene->step_thickness * exp(depth / scene->step_growth);
+        while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
+    }
+    /* Coarse steps need not be cut where none can be thick. */
+    if (!(thickest > 0.0) || !(peak > 2.0 * size * scene->peak_thickness) || !(peak > scene->peak_thickness)) return parts;
+    if (!(size > parts * scene->finest)) return parts;
+    double allowed_peak = scene->peak_thickness * exp(depth / scene->peak_growth);
+    while (parts < MOST_PARTS && peak > parts * allowed_peak && size > parts * scene->finest) parts *= 2;
+    return parts;
+}
+
+/* Whether a volume may hold density at any sample of a coarse block. */
+static inline int block_held(const Medium *medium, const Line *line, double place) {
+    Floats position[3];
+    if (!medium->held) return 1;
+    positions_in_block(line, place, 1.0, position);
+    return any_held(medium, position);
+}
+
+/* Coarse blocks that may hold something, one after another. */
+typedef struct {
+    int64_t count, used;
+    double from;          /* place from which on the next ones are looked for */
+    double place[AHEAD], peak[AHEAD];
+    int64_t before[AHEAD], passed;  /* blocks near density that turned out to hold none: in front of each, and since */
+} Coming;
+
+/* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
+static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep_empty, Work *work, Coming *coming) {
+    double from = coming->from;
+    int64_t count = 0, passed = coming->passed;
+    while (count < AHEAD && from < whole) {
+        /* The cells of blocks that follow each other, of which some are then leapt over. */
+        double middle[LANES];
+        FOR_LANES(n) middle[n] = from + STEPS * (n + 0.5);
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            Floats position[3];
+            positions_at(work->lines + v, middle, position);
+            Longs cells = cells_around(&scene->media[v].occupancy, position);
+            memcpy(work->cells + LANES * v, &cells, sizeof cells);
+        }
+        for (int64_t n = 0; n < LANES && count < AHEAD && from < whole;) {
+            int held = keep_empty;
+            Nearby nearby = {0, 0.0, INT64_MAX};
+            for (int64_t v = 0; v < scene->volumes; v++) {
+                const Medium *medium = scene->media + v;
+                const Line *line = work->lines + v;
+                uint8_t *near = work->near + count * scene->volumes + v;
+                *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
+                if (*near && !block_held(medium, line, from)) *near = 2;
+                held |= *near == 1;
+            }
+            int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
+            /* A ray whose features are wanted where it begins has a block there. */
+            if ((nearby.near && held) || (scene->at_start && from == 0.0)) {
+                coming->place[count] = from;
+                coming->peak[count] = nearby.peak;
+                coming->before[count] = passed;
+                passed = 0;
+                count++;
+            } else {
+                passed += nearby.near;
+            }
+            from += (double)(STEPS * next);
+            n = next < LANES ? n + next : LANES;
+        }
+    }
+    coming->from = from, coming->count = count, coming->used = 0, coming->passed = passed;
+    for (int64_t n = 0; n < count; n++) {
+        const uint8_t *near = work->near + n * scene->volumes;
+        sample_media(scene, ray, coming->place[n], 1.0, near, STEPS * (work->most_blocks + n), work);
+    }
+    return count > 0;
+}
+
+/* Keep a block whose steps were left as those from `at` on. */
+static void keep_block(const Scene *scene, const Ray *ray, double place, double size, int64_t at, Work *work) {
+    int64_t kept = STEPS * work->blocks;
+    if (at != kept) {
+        memcpy(work->total + kept, work->total + at, sizeof(Steps));
+        memcpy(work->tau + kept, work->tau + at, sizeof(Steps));
+        memcpy(work->within + kept, work->within + at, sizeof(Steps));
+        for (int64_t v = 0; v < scene->volumes; v++) {
+            float *sigma = work->sigma + v * work->stride;
+            memcpy(sigma + kept, sigma + at, sizeof(Steps));
+        }
+    }
+    for (int k = 0; k < STEPS; k++) work->dt[kept + k] = (float)(ray->dt * size);
+    work->place[work->blocks] = place;
+    work->size[work->blocks] = size;
+    work->before[work->blocks + 1] = work->before[work->blocks] + (double)work->within[kept + STEPS - 1];
+    work->blocks++;
+}
+
+/* Fill the blocks of a ray up to the optical depth `behind`. */
+static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int keep_empty, Work *work) {
+    double whole = (double)((ray->count + STEPS - 1) / STEPS * STEPS), place = 0.0, reached = 0.0, gap = 0.0;
+    double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
+    int level = 0;
+    Coming coming = {0};
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        work->lines[v] = line_through(scene->media + v, ray);
+    }
+    work->blocks = work->looked_at = 0;
+    work->before[0] = 0.0;
+    while (place < whole && reached < behind) {
+        while (level > 0 && !(place < end[level])) level--;
+        double step = size[level], peak;
+        int64_t at = STEPS * work->blocks;
+        int near = 1;
+        if (level == 0) {
+            if (coming.used == coming.count && !look_ahead(scene, ray, whole, keep_empty, work, &coming)) {
+                work->looked_at += coming.passed;
+                break;
+            }
+            work->looked_at += coming.before[coming.used];
+            /* Blocks in between are empty. */
+            if (coming.place[coming.used] > place) gap = step;
+            place = coming.place[coming.used], peak = coming.peak[coming.used];
+            at = STEPS * (work->most_blocks + coming.used++);
+        } else {
+            uint8_t *around = work->near + AHEAD * scene->volumes;
+            Nearby nearby = look_around(scene, work, place, step, around);
+            near = nearby.near || (scene->at_start && place == 0.0), peak = nearby.peak;
+            sample_media(scene, ray, place, step, around, at, work);
+        }
+        work->looked_at += near;
+        const float *tau = work->tau + at;
+        /* What the blocks to come may need at most, if each is kept. */
+        int64_t needed = work->blocks + (int64_t)((whole - place) / STEPS) + (LEVELS + 1) * 2 * MOST_PARTS;
+        int parts = level < LEVELS && needed < work->most_blocks ? parts_of(scene, tau, reached, step, peak * (ray->dt * step)) : 1;
+        if (parts > 1) {
+            double from = place;
+            /* Density that begins here may begin in the step in front, behind its samples. */
+            if (gap > 0.0 && tau[0] > 0.0f) {
+                double back = gap < step ? gap : step;
+                if (4.0 * step <= MOST_PARTS * back) {
+                    while (parts * back < 4.0 * step) parts *= 2;
+                    from = place - back;
+                }
+            }
+            level++;
+            size[level] = step / parts;
+            end[level] = place + STEPS * step;
+            place = from;
+            gap = 0.0;
+            continue;
+        }
+        float gained = work->within[at + STEPS - 1];
+        reached += (double)gained;
+        gap = tau[STEPS - 1] > 0.0f ? 0.0 : step;
+        if (near && (keep_empty || gained > 0.0f || (scene->at_start && place == 0.0))) keep_block(scene, ray, place, step, at, work);
+        place += STEPS * step;
+    }
+}
+
+#endif
