@@ -3,7 +3,6 @@
 
 import _ctypes
 import ctypes
-import importlib.metadata
 import importlib.util
 import os
 import threading
@@ -178,9 +177,8 @@ def _remedy(number: int) -> str:
         return "Run python -m inference.kernels"
     # All extensions share one folder of packages, where the highest version wins.
     if number > structures.INTERFACE:
-        version = importlib.metadata.version(PACKAGE)
         return (
-            f"A newer MRPNN Volumes in another repository brought {PACKAGE} {version}: remove one of the two in "
+            "Another repository has a newer MRPNN Volumes, which brought it: remove one of the two in "
             "Preferences > Get Extensions, and restart Blender"
         )
     return f"It is of an older MRPNN Volumes: restart Blender. If that does not help: {_REINSTALL}"

@@ -16,6 +16,7 @@ import pytest
 import build_extension
 from packages.kernels import MODULE, wheel_name
 from tests.support.paths import ROOT
+from tests.support.render_with_zip import install
 
 # What the bpy module itself imports; everything else of this environment stays out of sight.
 BLENDER_NEEDS = (
@@ -116,6 +117,39 @@ def test_the_zips_code_renders_with_its_wheels_alone(zips):
     program = ROOT / "tests" / "support" / "render_with_zip.py"
     run = subprocess.run([sys.executable, program, ROOT], capture_output=True, text=True, timeout=300)
     assert run.returncode == 0 and "largest difference" in run.stdout, run.stdout + run.stderr
+
+
+LOADED = "from inference.kernels.library import load_kernels; print(load_kernels().path)"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="takes the Linux zip")
+def test_kernels_of_another_version_are_refused_with_what_to_do(linux_zip, tmp_path):
+    """Blender installs one mrpnn_kernels for all extensions: that of the highest version."""
+    install(linux_zip, tmp_path)
+    (library,) = (tmp_path / "site" / "mrpnn_kernels").glob("*.so")
+
+    def loads():
+        paths = [tmp_path / "extension", tmp_path / "site", sysconfig.get_path("purelib")]
+        return subprocess.run(
+            [sys.executable, "-S", "-c", LOADED],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={"PYTHONPATH": ":".join(map(str, paths))},
+        )
+
+    assert loads().stdout.strip() == str(library)
+    remedies = {1: "restart Blender", 9999: "remove one of the two in Preferences > Get Extensions"}
+    for number, remedy in remedies.items():
+        source = tmp_path / "other.c"
+        source.write_text(f"long long mrpnn_interface(void) {{ return {number}; }}\n")
+        library.unlink()
+        subprocess.run([sys.executable, "-m", "ziglang", "cc", "-shared", source, "-o", library], check=True)
+        said = loads().stderr
+        assert f"has interface {number} instead of" in said and remedy in said
+    shutil.rmtree(library.parent)
+    assert "is missing. Uninstall MRPNN Volumes, restart Blender" in loads().stderr
 
 
 INSTALLED_RENDER = """

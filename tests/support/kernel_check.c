@@ -148,6 +148,19 @@ static void check_pyramid(int64_t variant) {
     expect("fill_lattice", variant, packed[7], log(1.0 + 0.1 * 47.25) / 1e-4, 1.0);
 }
 
+#if defined(_WIN32)
+/* An update replaces the file of a library: Windows forbids that while it is loaded, and allows it once it is freed. */
+static void check_replacing(const char *path) {
+    const char *copy = "kernel_check_copy.dll";
+    CopyFileA(path, copy, FALSE);
+    HMODULE loaded = LoadLibraryA(copy);
+    expect("loaded", 0, loaded != NULL, 1, 0.0);
+    expect("deleted while loaded", 0, DeleteFileA(copy) != 0, 0, 0.0);
+    FreeLibrary(loaded);
+    expect("deleted once freed", 0, DeleteFileA(copy) != 0, 1, 0.0);
+}
+#endif
+
 int main(int count, char **arguments) {
     if (count != 2 || !(library = load(arguments[1]))) {
         printf("the library cannot be loaded\n");
@@ -165,6 +178,9 @@ int main(int count, char **arguments) {
         check_gradients(variant);
         check_pyramid(variant);
     }
+#if defined(_WIN32)
+    check_replacing(arguments[1]);
+#endif
     printf("%d variants, %d faults\n", (int)best + 1, faults);
     return faults;
 }

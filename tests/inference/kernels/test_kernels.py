@@ -223,6 +223,7 @@ def test_every_variant_finds_known_results(platform, tmp_path):
         capture_output=True,
         text=True,
         timeout=600,
+        cwd=tmp_path,
         env={**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"},
     )
     assert run.returncode == 0, run.stdout + run.stderr[-2000:]
