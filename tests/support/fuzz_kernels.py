@@ -124,7 +124,8 @@ def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
 def march(random: np.random.Generator) -> None:
     """Rays through a scene of any kind."""
     scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8)
-    march = Marcher(scene.media, scene.options, scene.channels, ctypes.c_int32(0), scene.lamps)
+    options = replace(scene.options, at_start=random.random() < 0.3)
+    march = Marcher(scene.media, options, scene.channels, ctypes.c_int32(0), scene.lamps)
     for array in contents(scene):
         if random.random() < 0.6:
             spoil(random, array)
@@ -173,7 +174,10 @@ def columns(random: np.random.Generator) -> None:
     """Columns along a sun's rays, and depths at cells."""
     grid, towards = random_grid(random), direction(random)
     spoil_blocks(random, grid)
-    SunOpticalDepth(grid, towards)
+    depth, points = SunOpticalDepth(grid, towards), spoiled(random, (3, int(random.integers(1, 60))))
+    # Which decides how much is integrated.
+    depth.peak = float(random.random())
+    depth(points, float(10.0 ** random.uniform(-3.0, 5.0)), may_be_outside=random.random() < 0.5)
     if isinstance(grid, DenseGrid):
         sun_optical_depth(grid.padded, towards, 0.1)
 
