@@ -77,6 +77,10 @@ class PreparedScene:
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
     thrown_back: Environment | None = None
 
+    def opened(self, group: int) -> ScatteringGroup | None:
+        """A group without what surfaces hide from the middle of the volumes."""
+        return (self.open_groups[group] if self.open_groups else None) or self.groups[group]
+
     @property
     def lamp_radius(self) -> float:
         """Distance from lamps within which the coarse transport of any group does not tell their light apart."""
