@@ -35,6 +35,7 @@ from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.onnx.products import Weights
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
+from inference.transport.cell_sources import SunBeam
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from inference.transport.forward_peak import forward_peak
@@ -187,7 +188,7 @@ def transport(random: np.random.Generator) -> None:
     n = int(random.choice([4, 6, 8, 16]))
     triangles = random.normal(size=(3, 3, 3)) * 0.3 if random.random() < 0.5 else None
     density, sigma = spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0))
-    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles).light(direction(random))
+    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles).solve(SunBeam(direction(random)))
     shape = tuple(random.integers(1, 12, 3).tolist())
     extinction, emission = (spoiled(random, shape, np.float64) for _ in range(2))
     sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])))
