@@ -291,18 +291,18 @@ def prepare_scene(
         with report.stage("network loading"):
             uncertainty = cache.uncertainty_network(network.name, cancel)
     scene = PreparedScene(
-        plan,
-        camera,
-        grids,
-        sun_depths,
-        occluders,
-        depth_buffer,
-        extended_lights,
-        groups,
-        network,
-        environment,
-        uncertainty,
-        lamps,
+        plan=plan,
+        camera=camera,
+        grids=grids,
+        sun_depths=sun_depths,
+        occluders=occluders,
+        depth_buffer=depth_buffer,
+        extended_lights=extended_lights,
+        groups=groups,
+        network=network,
+        environment_network=environment,
+        uncertainty_network=uncertainty,
+        lamps=lamps,
     )
     if not plan.reflects and not plan.sky:
         return scene

@@ -49,7 +49,7 @@ class RenderContext:
         return self.tasks.cancel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PreparedScene:
     """The planned scene as a camera sees it, with everything that does not depend on the colour channel.
 
