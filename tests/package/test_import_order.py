@@ -37,11 +37,10 @@ ROOMS = {
         "features",
         "network",
         "render_cache",
+        "predict_multiple",
         "image",
         "render",
-        "points",
         "baking",
-        "predict_multiple",
         "evaluation",
     ),
     "mrpnn_addon": (

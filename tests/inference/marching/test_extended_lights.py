@@ -113,8 +113,7 @@ def test_directions_are_turned_to_where_the_phase_function_equals_its_mean(aniso
     pixel = np.arange(len(directions))
 
     def equivalent(sun, anisotropy):
-        row, column = np.divmod(pixel, view.resolution[0])
-        return EquivalentDirections(view, sun, anisotropy)(directions, (column + 0.5, row + 0.5))
+        return EquivalentDirections(view, sun, anisotropy)(view.window, pixel, directions)
 
     found = equivalent(sun, anisotropy)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
