@@ -3,7 +3,7 @@
 
 import functools
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,15 +12,13 @@ from .grids.bound_medium import scattering_channels
 from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_correction import correct_environments
-from .image.environment_pass import EnvironmentSource, add_environment_light, prepare_environment
 from .image.framebuffer import Framebuffer, Window
 from .image.lamp_pass import lamps_nearby, prepare_lamp_march
 from .image.layer import Layer, compose_layer
-from .image.multiple_scattering import add_multiple_scattering
 from .image.predicted_error import error_is_known, expected_error
-from .image.prediction_sources import prepare_prediction, solve_transport
 from .image.reflected_light import open_volume, surface_light
-from .image.scattered_emission_pass import add_scattered_emission, prepare_scattered_emission
+from .image.scattered_light import add_scattered_light
+from .image.sources import Source, prepare_sources, solve_transport
 from .image.work_estimate import WorkEstimate
 from .kernels.library import load_kernels
 from .marching.depth_samples import DepthSamples
@@ -44,7 +42,6 @@ from .scene.camera import Camera
 from .scene.description import Medium, Surface, Volume
 from .scene.light import Families, Light
 from .scene.settings import Settings
-from .transport.scattered_emission import ScatteredEmission
 
 
 def render(
@@ -141,13 +138,12 @@ def _render_passes(
     """Render into the framebuffer; yield the window of each finished tile, and what composes its Layer."""
     if not scene.plan.volumes:
         return
-    emission = prepare_scattered_emission(context, scene)
     passes = [(channels, suns) for channels in scene.plan.channels for suns in _suns_of_passes(scene)]
     work = WorkEstimate(context, scene, len(passes))
     for number, (channels, suns) in enumerate(passes):
         channel_pass = _channel_pass(context, scene, channels, suns)
         work.survey(channel_pass)
-        for tile in _tiles(context, scene, channel_pass, framebuffer, emission):
+        for tile in _tiles(context, scene, channel_pass, framebuffer):
             window = tile.camera.window
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
@@ -166,7 +162,6 @@ def _tiles(
     scene: PreparedScene,
     channel_pass: ChannelPass,
     framebuffer: Framebuffer,
-    emission: Mapping[int, ScatteredEmission],
 ) -> Iterator[Tile]:
     """The tiles of a pass, each rendered on one thread and added to the framebuffer. Raises Cancelled."""
 
@@ -178,10 +173,7 @@ def _tiles(
 
     def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
         if samples is not None:
-            if channel_pass.first:
-                add_scattered_emission(context, scene, channel_pass, tile, samples.nodes, emission)
-            add_multiple_scattering(context, sources, tile, samples)
-            add_environment_light(context, environments, tile, samples.nodes)
+            add_scattered_light(context, sources, tile, samples)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
         return tile
 
@@ -193,21 +185,19 @@ def _tiles(
         context.progress.message("single scattering")
         marched = list(tasks.map(march, windows))
         view = [samples for _, samples in marched if samples is not None]
-        sources = prepare_prediction(context, scene, channel_pass, view)
-        environments = _environments(context, scene, channel_pass, view)
+        sources = _sources(context, scene, channel_pass, view)
         context.progress.message("multiple scattering")
         return tasks.map(lambda one: predict(*one), marched)
-    sources = prepare_prediction(context, scene, channel_pass, ())
-    environments = _environments(context, scene, channel_pass, ())
+    sources = _sources(context, scene, channel_pass, ())
     context.progress.message("single and multiple scattering")
     return tasks.map(lambda window: predict(*march(window)), windows)
 
 
-def _environments(
+def _sources(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
-) -> list[EnvironmentSource]:
-    """What predicts the light of environments, corrected by light paths."""
-    sources = prepare_environment(context, scene, channel_pass, view)
+) -> list[Source]:
+    """As `prepare_sources`, the light of environments corrected by light paths."""
+    sources = prepare_sources(context, scene, channel_pass, view)
     return correct_environments(context, scene, channel_pass, sources)
 
 
@@ -301,18 +291,18 @@ def prepare_scene(
         with report.stage("network loading"):
             uncertainty = cache.uncertainty_network(network.name, cancel)
     scene = PreparedScene(
-        plan,
-        camera,
-        grids,
-        sun_depths,
-        occluders,
-        depth_buffer,
-        extended_lights,
-        groups,
-        network,
-        environment,
-        uncertainty,
-        lamps,
+        plan=plan,
+        camera=camera,
+        grids=grids,
+        sun_depths=sun_depths,
+        occluders=occluders,
+        depth_buffer=depth_buffer,
+        extended_lights=extended_lights,
+        groups=groups,
+        network=network,
+        environment_network=environment,
+        uncertainty_network=uncertainty,
+        lamps=lamps,
     )
     if not plan.reflects and not plan.sky:
         return scene

@@ -168,9 +168,9 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
             self.cancel(context)
             raise
         context.window_manager.progress_update(int(100 * run.job.fraction))
-        status_bar(
-            context, f"Comparing: {run.job.message}; about {run.job.seconds_left:.0f} s of Cycles left  (Esc stops)"
-        )
+        # Unknown before Cycles' first image.
+        left = f"; about {run.job.seconds_left:.0f} s of Cycles left" if run.job.fraction > 0.0 else ""
+        status_bar(context, f"Comparing: {run.job.message}{left}  (Esc stops)")
         if not run.job.done:
             return {"PASS_THROUGH"}
         self._steps = _finish(run)

@@ -5,9 +5,8 @@ import bpy
 
 from ..mrpnn_addon.baking.baked_scene import light_state
 from ..mrpnn_addon.scene.changes import scene_state
-from ..mrpnn_addon.status.recommendation import COMPOSITE, Recommendation, recommend
+from ..mrpnn_addon.status.recommendation import Recommendation, recommend
 from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove
-from ..operators.composite import MRPNN_OT_composite
 from .text import draw_text
 
 _recommended: dict = {}
@@ -24,10 +23,7 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
         layout, scene = self.layout, context.scene
         state = light_state(scene)
         if not state.active:
-            way = _recommendation(context)
-            draw_text(context, layout, way.reason, "INFO")
-            if way.way == COMPOSITE:
-                layout.operator(MRPNN_OT_composite.bl_idname)
+            draw_text(context, layout, _recommendation(context).reason, "INFO")
             layout.operator(MRPNN_OT_bake_light.bl_idname, icon="OUTLINER_OB_LIGHT")
             return
         missing = [item.name for item in state.volumes if item.shown is None or item.shown.name not in scene.objects]

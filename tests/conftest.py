@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
@@ -180,6 +181,10 @@ def zip_of(zips, linux_zip):
 @pytest.fixture(scope="module", params=SUITES)
 def window(request, zip_of):
     window = Window(request.param)
+    # Blender keeps a wheel of the same version, which an earlier run has installed with other kernels.
+    home = Path(os.environ["BLENDER_ROOTS"], request.param, "root", ".config", "blender")
+    for stale in home.glob("*/extensions/.local/lib/*/site-packages/mrpnn_kernels*"):
+        shutil.rmtree(stale)
     shutil.copy(zip_of(request.param), window.work / "window.zip")
     window.start()
     try:

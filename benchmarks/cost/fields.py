@@ -21,6 +21,7 @@ from inference.grids.working_cube import fit_cube
 from inference.kernels.library import load_kernels
 from inference.network.network import load_network
 from inference.scene.sparse_grid import SparseGrid
+from inference.transport.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.radiance_sweep import sweep_radiance
 
@@ -49,7 +50,7 @@ def stages(voxels: int) -> dict[str, Callable[[], object]]:
         "sun columns, sparse": lambda: SunOpticalDepth(sparse, SUN),
         "density pyramid": lambda: padded_pyramid(volume, cube, stencil),
         "lattices": lambda: build_lattices(pyramid, SIGMA_HAT, stencil),
-        "discrete ordinates": lambda: solver.light(SUN),
+        "discrete ordinates": lambda: solver.solve(SunBeam(SUN)),
         "emission sweep": lambda: sweep_radiance(100.0 * few, few, 1.0 / 32, FACE),
         "merged volumes": lambda: resampled(
             grid, grid.density, volume.world_from_index, np.array(volume.density.shape)

@@ -10,6 +10,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
 from ..plan.plan import Channels, last_albedo, make_plan
 from ..plan.precision import in_range
+from ..points.group_radiance import GroupRadiance
 from ..render import prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
@@ -22,11 +23,8 @@ from ..scene.light import Light
 from ..scene.settings import Settings
 from .directional_factor import DETAIL_SHARPNESS, BakedView
 from .directions import DirectionFit, make_lobe
-from .environment_radiance import EnvironmentRadiance
-from .lamp_radiance import LampRadiance
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
 from .lit_volume import LitVolume
-from .point_radiance import PointRadiance
 from .smooth_light import continued, importance_of, radiance_in_voxels
 
 # For plans of images, of which a bake makes none.
@@ -35,8 +33,6 @@ _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 POINTS_PER_BATCH = 1 << 16
 # Points predicted for other directions, as the progress expects them: of a voxel, of at most so many voxels.
 DIRECTIONAL_POINTS, DIRECTIONAL_VOXELS = 30.0, 20000.0
-
-Source = PointRadiance | LampRadiance | EnvironmentRadiance
 
 
 def bake(
@@ -119,39 +115,22 @@ class _Bake:
         """The LitVolume of each of the plan's volumes, by number."""
         shapes = [lattice.density.shape for lattice in self.lattices]
         radiance = [np.zeros((*shape, 3), np.float32) for shape in shapes]
-        sources: list[tuple[int, Source]] = []
+        predicted: list[tuple[int, GroupRadiance]] = []
         for channels in self.scene.plan.channels:
             for g, _ in self.scene.predicted(channels):
-                found = self._sources(g, channels)
-                sources += [(g, source) for source in found]
+                light = GroupRadiance(self.context, self.scene, g, channels)
+                predicted.append((g, light))
                 for v in self.scene.plan.groups[g]:
-                    radiance[v] += self._radiance(v, channels, found)
+                    radiance[v] += self._radiance(v, channels, light)
         steady = [np.zeros_like(values) for values in radiance]
         for g, scatters in enumerate(self.scene.plan.scattered_emission):
             for v in self.scene.plan.groups[g] if scatters else ():
                 steady[v] = self._scattered_emission(g, v)
         groups = self.scene.plan.groups
         return {
-            v: self._lit(v, radiance[v], steady[v], [source for g, source in sources if v in groups[g]])
+            v: self._lit(v, radiance[v], steady[v], [light for g, light in predicted if v in groups[g]])
             for v in range(len(radiance))
         }
-
-    def _sources(self, g: int, channels: Channels) -> list[Source]:
-        """What predicts the light of suns, lamps and environments that a group scatters."""
-        found: list[Source] = []
-        if self.scene.plan.suns:
-            found.append(PointRadiance(self.context, self.scene, g, channels))
-        if self.scene.lamps and self.scene.plan.predicts_lamps:
-            found.append(LampRadiance(self.context, self.scene, g, channels))
-        if self.scene.environment_network is not None:
-            returned = self.scene.thrown_back
-            others = [environment for environment in self.scene.plan.environments if environment is not returned]
-            if others:
-                found.append(EnvironmentRadiance(self.context, self.scene, g, channels, others))
-            if returned is not None:
-                # What volumes scatter once of it, renderers leave out that end paths there.
-                found.append(EnvironmentRadiance(self.context, self.scene, g, channels, [returned], single=True))
-        return found
 
     def _lattice(self, v: int) -> BakeLattice:
         volume, settings = self.scene.plan.volumes[v][0], self.context.settings
@@ -189,14 +168,13 @@ class _Bake:
             wanted &= self.visibilities[v].seen()
         return wanted
 
-    def _radiance(self, v: int, channels: Channels, sources: list[Source]) -> np.ndarray:
+    def _radiance(self, v: int, channels: Channels, light: GroupRadiance) -> np.ndarray:
         """Multiple scattering (nx, ny, nz, 3) of one volume in some colour channels, for an albedo of 1."""
         lattice, report = self.lattices[v], self.context.report
         self.context.progress.message(f"multiple scattering in {self.scene.plan.volumes[v][0].name}")
 
         def predict(voxels: np.ndarray) -> np.ndarray:
-            positions = lattice.positions(voxels)
-            return np.sum([self._predicted(source, positions) for source in sources], axis=0)
+            return self._predicted(light, lattice.positions(voxels))
 
         wanted = self._wanted(v)
         thickness = lattice.density * np.float32(lattice.voxel * channels.sigma_t[v])
@@ -206,7 +184,7 @@ class _Bake:
         report.count("voxels predicted", predicted)
         return radiance
 
-    def _predicted(self, source: Source, positions: np.ndarray) -> np.ndarray:
+    def _predicted(self, light: GroupRadiance, positions: np.ndarray) -> np.ndarray:
         """Radiance (3, N) at world positions (N, 3), along the baked view, or its mean over all directions."""
         parts = []
         for start in range(0, len(positions), POINTS_PER_BATCH):
@@ -214,11 +192,11 @@ class _Bake:
             some = positions[start : start + POINTS_PER_BATCH]
             along = self.view.directions(some)
             if along is not None:
-                parts.append(source(some, along))
+                parts.append(light(some, along))
                 continue
             mean = np.zeros((3, len(some)), np.float32)
             for direction, weight in zip(DIRECTIONS, WEIGHTS):
-                mean += np.float32(weight) * source(some, np.broadcast_to(direction, some.shape).copy())
+                mean += np.float32(weight) * light(some, np.broadcast_to(direction, some.shape).copy())
             parts.append(mean)
         return np.concatenate(parts, axis=1)
 
@@ -260,18 +238,18 @@ class _Bake:
         albedo = np.stack([np.minimum(grid.scattering_of(c).sample(index) / density, 1.0) for c in range(3)], axis=1)
         return coefficient * albedo.reshape(*shape, 3)
 
-    def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, sources: list[Source]) -> LitVolume:
+    def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, lights: list[GroupRadiance]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
         volume, medium = self.scene.plan.volumes[v]
         lattice, report = self.lattices[v], self.context.report
         coefficient = self._coefficient(v, None)
         steady, scattered = coefficient * steady, coefficient * (radiance + steady)
         directional = None
-        if self.context.settings.directional and sources:
+        if self.context.settings.directional and lights:
             self.context.progress.message(f"other directions of {volume.name}")
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-                radiance = np.sum([source(positions, directions) for source in sources], axis=0)
+                radiance = np.sum([light(positions, directions) for light in lights], axis=0)
                 return (coefficient if volume.scattering is None else self._coefficient(v, positions)) * radiance.T
 
             lobe = make_lobe([one.sun for one in self.scene.plan.predicted_suns()], medium.anisotropy)

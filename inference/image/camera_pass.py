@@ -108,18 +108,18 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
             scattering.append(segment.sample_scattering)
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
     samples = DepthSamples(
-        rays.pixel,
-        rays.batch.origins,
-        rays.batch.directions,
-        rays.offsets,
-        ray,
-        distance,
-        weight,
-        fraction,
-        RayFeatures(np.concatenate(features)) if features else None,
-        RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
-        np.concatenate(scattering) if scattering else None,
-        rays.batch.detail,
+        pixel=rays.pixel,
+        origins=rays.batch.origins,
+        directions=rays.batch.directions,
+        offsets=rays.offsets,
+        ray=ray,
+        distance=distance,
+        weight=weight,
+        fraction=fraction,
+        features=RayFeatures(np.concatenate(features)) if features else None,
+        lamp_features=RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
+        scattering=np.concatenate(scattering) if scattering else None,
+        detail=rays.batch.detail,
     )
     report.count("points", len(samples.ray))
     return samples

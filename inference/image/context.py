@@ -49,7 +49,7 @@ class RenderContext:
         return self.tasks.cancel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PreparedScene:
     """The planned scene as a camera sees it, with everything that does not depend on the colour channel.
 
@@ -76,6 +76,10 @@ class PreparedScene:
     lamps: list[LampInMedia] = field(default_factory=list)
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
     thrown_back: Environment | None = None
+
+    def opened(self, group: int) -> ScatteringGroup | None:
+        """A group without what surfaces hide from the middle of the volumes."""
+        return (self.open_groups[group] if self.open_groups else None) or self.groups[group]
 
     @property
     def lamp_radius(self) -> float:

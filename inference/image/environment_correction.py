@@ -12,15 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..grids.working_cube import Cube
 from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
 from ..marching.ray_steps import RayBatch
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
-from ..transport.environment_light import ROWS
+from ..transport.environment_light import ROWS, Skies
 from .camera_pass import march_tile, ray_intervals
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
-from .environment_pass import EnvironmentEstimate, EnvironmentSource
+from .scattered_light import TileEstimate
+from .sources import Source
 
 #: Rays whose light is compared, and pixels of the whole image for one more each, since noise shows as flicker in films.
 RAYS, PIXELS_PER_RAY, MOST_RAYS = 128, 1024, 2048
@@ -41,18 +43,20 @@ RAYS_PER_TASK = 16
 
 
 def correct_environments(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, sources: Sequence[EnvironmentSource]
-) -> list[EnvironmentSource]:
-    """Sources with the factors by which their light is corrected; as they are where paths cannot tell.
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, sources: Sequence[Source]
+) -> list[Source]:
+    """Sources, those of environments with the factors by which their light is corrected where paths can tell.
 
     They cannot where surfaces are lit or hide light from the volumes; and numpy alone would take too long. As in the
     network, the phase function is Henyey and Greenstein's. Raises Cancelled.
     """
-    if not sources or not _followed(context, scene):
+    lit = [source for source in sources if source.tells_single]
+    if not lit or not _followed(context, scene):
         return list(sources)
+    factors = np.ones(3)
     with context.report.stage("light paths"):
-        found = _compare(context, scene, channel_pass, sources)
-    return [replace(source, correction=found) for source in sources]
+        factors[channel_pass.channels.indices] = _compare(context, scene, channel_pass, lit)
+    return [source.corrected(factors) if source.tells_single else source for source in sources]
 
 
 def _followed(context: RenderContext, scene: PreparedScene) -> bool:
@@ -66,10 +70,11 @@ def _followed(context: RenderContext, scene: PreparedScene) -> bool:
 
 
 def _compare(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, sources: Sequence[EnvironmentSource]
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, sources: Sequence[Source]
 ) -> np.ndarray:
     """Factors (C,) of the channels that are rendered together."""
-    channels = len(sources[0].indices)
+    indices = channel_pass.channels.indices
+    channels = len(indices)
     width, height = scene.camera.resolution
     count = min(RAYS + width * height // PIXELS_PER_RAY, MOST_RAYS)
     meeting = _meeting_rays(context, scene, channel_pass, MEETING * count)
@@ -79,7 +84,11 @@ def _compare(
     paths = _paths(channel_pass, opacity)
     if not paths:
         return np.ones(channels)
-    media = ScatteringMedia([medium for medium in channel_pass.media if medium.sigma_t > 0.0], sources[0].indices)
+    media = ScatteringMedia([medium for medium in channel_pass.media if medium.sigma_t > 0.0], indices)
+    opened = scene.opened(sources[0].group)
+    assert opened is not None
+    cube = opened.predictor.cube
+    skies = Skies.of(scene.plan.environments, cube.rotation)
     tracer = PathTracer(media, context.tasks.stopping)
     # Light that scatters too often to be followed, and that of rays on which no path collides, counts as predicted.
     typical = predicted.T / opacity[:, None]
@@ -88,7 +97,7 @@ def _compare(
         context.cancel.check()
         some = slice(first, first + RAYS_PER_TASK)
         ends = tracer.trace(rays.batch.take(some), rays.pixels[some] + batch * APART, paths)
-        arriving = _arriving(sources[0], ends.directions) * ends.kept
+        arriving = _arriving(skies, indices, cube, ends.directions) * ends.kept
         light = np.where((ends.ends == GIVEN_UP)[..., None], typical[some, None], arriving)
         met = (ends.ends != MISSED)[..., None]
         count = np.maximum(met.sum(axis=1), 1)
@@ -171,7 +180,7 @@ def _predicted(
     context: RenderContext,
     scene: PreparedScene,
     channel_pass: ChannelPass,
-    sources: Sequence[EnvironmentSource],
+    sources: Sequence[Source],
     rays: _Rays,
     count: int,
 ) -> tuple[_Rays, np.ndarray, np.ndarray]:
@@ -181,7 +190,7 @@ def _predicted(
     shown[rays.pixels] = True
     tile = Tile.of(rays.camera, rays.camera.window, shown.reshape(height, width))
     samples = march_tile(context, replace(scene, depth_buffer=None), channel_pass, tile)
-    light, opacity = np.zeros((len(sources[0].indices), width * height)), np.zeros(width * height)
+    light, opacity = np.zeros((len(channel_pass.channels.indices), width * height)), np.zeros(width * height)
     if samples is None:
         return rays.take(slice(0)), light[:, :0], opacity[:0]
     samples = samples.nodes
@@ -191,9 +200,11 @@ def _predicted(
     rays = rays.take(_spread(lit, count))
     wanted = np.isin(pixel, rays.pixels)
     for source in sources:
-        estimate = EnvironmentEstimate(context, samples, tile, source)
+        estimate = TileEstimate(context, samples, tile, source)
         estimate.evaluate(np.flatnonzero(wanted & (samples.share(source.members) > 0.0)))
-        light += estimate.radiance.reshape(2, len(light), -1).sum(axis=0)
+        for row, radiance in zip(source.rows, estimate.radiance):
+            for c in row.channels:
+                light[channel_pass.channels.indices.index(c)] += radiance
     return rays, light[:, rays.pixels], opacity[rays.pixels]
 
 
@@ -203,12 +214,10 @@ def _spread(values: np.ndarray, most: int) -> np.ndarray:
     return values[np.arange(count) * len(values) // max(count, 1)]
 
 
-def _arriving(source: EnvironmentSource, directions: np.ndarray) -> np.ndarray:
-    """Radiance (..., C) of the source's light from world directions (..., 3)."""
-    predictor, channels = source.predictor, len(source.indices)
-    turned = predictor.cube.directions(directions.reshape(-1, 3))
-    image = predictor.skies.image.reshape(2 * ROWS * ROWS, -1)
-    found = image[pixel_numbers(turned, ROWS)]
-    if predictor.channels > 1:
-        found = found[:, source.indices]
-    return np.broadcast_to(found, (len(found), channels)).reshape(*directions.shape[:-1], channels)
+def _arriving(skies: Skies, channels: Sequence[int], cube: Cube, directions: np.ndarray) -> np.ndarray:
+    """Radiance (..., C) in some channels that arrives of skies in a cube's frame from world directions (..., 3)."""
+    image = skies.image.reshape(2 * ROWS * ROWS, -1)
+    found = image[pixel_numbers(cube.directions(directions.reshape(-1, 3)), ROWS)]
+    if skies.channels > 1:
+        found = found[:, channels]
+    return np.broadcast_to(found, (len(found), len(channels))).reshape(*directions.shape[:-1], len(channels))

@@ -93,9 +93,9 @@ def error_is_known(model: str) -> bool:
     return model in MODELS or has_uncertainty(model)
 
 
-def environment_deviation(albedo: np.ndarray) -> np.ndarray:
-    """Relative error of the light of environments for albedos."""
-    return np.interp(albedo, *ENVIRONMENT)
+def environment_deviation(albedo: float) -> float:
+    """Relative error of the light of environments for an albedo."""
+    return float(np.interp(albedo, *ENVIRONMENT))
 
 
 def expected_error(layer: Layer) -> ExpectedError | None:

@@ -430,14 +430,9 @@ static inline Floats emitter_fluences(const Emitter *emitter, const Doubles *poi
     return found;
 }
 
-/* As `softened`, of several points. */
-static inline Floats softened_all(Floats fluence, double radius) {
-    return fluence / (1.0f + fluence * (float)(4.0 * PI * radius * radius));
-}
-
 /* Fluence of a lamp of power 1 as if it were no nearer than a distance. */
-static inline double softened(double fluence, double radius) {
-    return fluence / (1.0 + fluence * (4.0 * PI * radius * radius));
+static inline Floats softened(Floats fluence, double radius) {
+    return fluence / (1.0f + fluence * (float)(4.0 * PI * radius * radius));
 }
 
 #endif

@@ -330,7 +330,7 @@ static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, 
             given += emitter_fluences(lamp->parts + e, point);
             most += brightest_of(lamp->parts + e, point);
         }
-        Floats coarse = softened_all(reference_of(given, most), scene->lamp_radius);
+        Floats coarse = softened(reference_of(given, most), scene->lamp_radius);
         for (int n = 0; n < LANES && first + n < count; n++) {
             work->sample_light[first + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
         }
@@ -368,7 +368,7 @@ static void join_parts(const Scene *scene, int alone, Work *work) {
     int64_t stride = work->stride, steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
         Floats reference = reference_of(load(work->given + first), load(work->reference + first));
-        Floats coarse = softened_all(reference, scene->lamp_radius);
+        Floats coarse = softened(reference, scene->lamp_radius);
         store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
         store(work->lit + first, load(work->lit + first) / reference);
     }

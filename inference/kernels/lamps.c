@@ -161,7 +161,7 @@ between. */
 static void add_light(const LampBeam *beam, int64_t part, const Floats *index, const Doubles *point, Floats *light,
                       Floats *open) {
     const Emitter *emitter = beam->emitters + part;
-    Floats found = softened_all(emitter_fluences(emitter, point), beam->radius);
+    Floats found = softened(emitter_fluences(emitter, point), beam->radius);
     *open += found;
     for (int n = 0; n < LANES && beam->shadow_maps[part]; n++) {
         double at[3] = {point[0][n], point[1][n], point[2][n]};

@@ -104,17 +104,17 @@ class DepthSamples:
         kept = np.sort(np.concatenate([self.ray[:0], *(samples.ravel() for _, samples, _ in self._alike(sampled))]))
         detail = self.detail[self.ray[kept]]
         return DepthSamples(
-            self.pixel,
-            self.origins,
-            self.directions,
-            self.offsets,
-            self.ray[kept],
-            self.distance[kept],
-            self.weight[kept] * detail,
-            self.fraction[kept],
-            None if self.features is None else RayFeatures(self.features.values[kept]),
-            None if self.lamp_features is None else RayFeatures(self.lamp_features.values[kept]),
-            None if self.scattering is None else self.scattering[kept],
+            pixel=self.pixel,
+            origins=self.origins,
+            directions=self.directions,
+            offsets=self.offsets,
+            ray=self.ray[kept],
+            distance=self.distance[kept],
+            weight=self.weight[kept] * detail,
+            fraction=self.fraction[kept],
+            features=None if self.features is None else RayFeatures(self.features.values[kept]),
+            lamp_features=None if self.lamp_features is None else RayFeatures(self.lamp_features.values[kept]),
+            scattering=None if self.scattering is None else self.scattering[kept],
         )
 
     def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

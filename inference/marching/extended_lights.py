@@ -26,6 +26,8 @@ FORWARD_ANGLE = np.radians(32.0)
 # Scattering order that represents multiple scattering, fitted for clouds and smoke; and the anisotropy after that many
 # scatterings below which the direction of the light hardly matters.
 ORDER, MIN_ANISOTROPY = 4, 0.02
+# The image of a camera that sees all directions, for rays of no camera.
+EVERYWHERE = Camera(np.eye(4), "equirectangular", resolution=(2 * MAX_KNOTS, MAX_KNOTS))
 # Values of a phase function that are evaluated at a time.
 VALUES_PER_BATCH = 1 << 20
 
@@ -77,38 +79,32 @@ class EquivalentDirections:
     A network that knows a single direction of light then predicts approximately the mean over the extent. The phase
     function is Henyey-Greenstein's of light scattered ORDER times, whose anisotropy is that power.
 
-    sun: with or without an extent. Raises Cancelled.
+    camera: None for rays of no camera. sun: with or without an extent. Raises Cancelled.
     """
 
-    def __init__(self, camera: Camera, sun: Sun, anisotropy: float, cancel: CancelToken = NEVER):
+    def __init__(self, camera: Camera | None, sun: Sun, anisotropy: float, cancel: CancelToken = NEVER):
         g = np.copysign(abs(anisotropy) ** ORDER, anisotropy)
-        self.sun, self.g, self.lights = sun.direction, g, None
+        self.sun, self.g, self.lights, self.camera = sun.direction, g, None, camera
         if sun.spread is not None and abs(g) >= MIN_ANISOTROPY:
             phases = [lambda cosine: henyey_greenstein(cosine, g)]
-            self.lights = ExtendedLights(camera, [sun], phases, split_forward=False, cancel=cancel)
+            self.lights = ExtendedLights(camera or EVERYWHERE, [sun], phases, split_forward=False, cancel=cancel)
 
-    def __call__(self, window: tuple[int, int, int, int], pixel: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def __call__(self, directions: np.ndarray, image: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
         """Unit directions (N, 3) in the plane of ray and sun.
 
-        window: of the camera's image. pixel: int (N,) of the window. directions: unit (N, 3) in the world.
+        directions: unit (N, 3) in the world. image: where the camera's rays are in its image, (N,) pixels each from the
+        left and from above.
         """
-        x0, y0, x1, _ = window
-        row, column = np.divmod(pixel, x1 - x0)
-        return self._at(column + x0 + 0.5, row + y0 + 0.5, directions)
-
-    @classmethod
-    def of(cls, directions: np.ndarray, sun: Sun, anisotropy: float) -> np.ndarray:
-        """As calling it, for rays of no camera: unit (N, 3) in the world."""
-        width, height = 2 * MAX_KNOTS, MAX_KNOTS
-        everywhere = Camera(np.eye(4), "equirectangular", resolution=(width, height))
-        x = (0.5 + np.arctan2(directions[:, 0], -directions[:, 2]) / (2.0 * np.pi)) * width
-        y = (0.5 - np.arcsin(np.clip(directions[:, 1], -1.0, 1.0)) / np.pi) * height
-        return cls(everywhere, sun, anisotropy)._at(x, y, directions)
-
-    def _at(self, x: np.ndarray, y: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """At points (N,) of the image."""
         if self.lights is None:
             return directions
+        if self.camera is None:
+            (width, height), (x, y, z) = EVERYWHERE.resolution, directions.T
+            image = (
+                (0.5 + np.arctan2(x, -z) / (2.0 * np.pi)) * width,
+                (0.5 - np.arcsin(np.clip(y, -1.0, 1.0)) / np.pi) * height,
+            )
+        assert image is not None
+        x, y = image
         mean = self.lights.phase(x, y)[0][:, 0, 0]
         # Invert the Henyey-Greenstein phase function for the cosine.
         g = self.g

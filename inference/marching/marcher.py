@@ -139,20 +139,20 @@ class Marcher:
         end = gathered.samples
         # Copies: most of the arrays may be unused.
         return RaySegment(
-            alpha,
-            depth,
-            optical_depth,
-            single,
-            np.repeat(np.arange(count), samples),
-            distance[:end].copy(),
-            weight[:end].copy(),
-            fraction[:end].copy(),
-            _copied(features, end),
-            gathered.blocks * STEPS,
-            emission,
-            None if self._lamps is None else LampSegment(of_lamps, _copied(lamp_features, end)),
-            None if sample_scattering is None else sample_scattering[:end].copy(),
-            scattering_depth,
+            alpha=alpha,
+            depth=depth,
+            optical_depth=optical_depth,
+            single=single,
+            sample_ray=np.repeat(np.arange(count), samples),
+            sample_distance=distance[:end].copy(),
+            sample_weight=weight[:end].copy(),
+            sample_fraction=fraction[:end].copy(),
+            sample_features=_copied(features, end),
+            steps_evaluated=gathered.blocks * STEPS,
+            emission=emission,
+            lamps=None if self._lamps is None else LampSegment(of_lamps, _copied(lamp_features, end)),
+            sample_scattering=None if sample_scattering is None else sample_scattering[:end].copy(),
+            scattering_depth=scattering_depth,
         )
 
     def _scratch(self, max_count: int) -> np.ndarray:

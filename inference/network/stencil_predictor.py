@@ -31,7 +31,8 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.blurred_environment import blurred
-from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
+from ..transport.cell_sources import EnteringLight, LampBeam, SunBeam
+from ..transport.discrete_ordinates import CELLS, LEVEL, CellSource, DiscreteOrdinates
 from ..transport.environment_light import Skies, direction_radiance, ordinate_radiance, reaching, solve_environment
 from ..transport.lamp_beam import CubeCells
 from ..transport.mean_free_path import mean_free_path
@@ -44,7 +45,7 @@ from ..transport.scattered_fluence import (
     fluence_lattice,
     moment_lattice,
 )
-from ..transport.varying_albedo import CoarseAlbedo, FluenceOf
+from ..transport.varying_albedo import CoarseAlbedo
 from .conditions import Bounds, Conditions
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
@@ -339,33 +340,21 @@ class RayPredictor(StencilPredictor):
             if key not in self._places:
                 if len(self._places) >= MAX_LATTICES:
                     self._places.clear()
+                cells = len(known.density)
                 self._places[key] = known.places(
                     lambda albedo: known.solver(conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo),
-                    self._scattered_fluence(conditions, ordinates, cancel),
+                    self._source(conditions, cells) if ordinates is None else EnteringLight(ordinates),
+                    cancel,
                 )
             return known, self._places[key]
 
-    def _scattered_fluence(
-        self, conditions: Conditions, ordinates: np.ndarray | None, cancel: CancelToken
-    ) -> FluenceOf:
-        """What finds the light that has scattered, of the conditions' sun or lamp or of an environment's ordinates."""
-        if ordinates is not None:
-            return lambda solver: solver.environment(ordinates, cancel)[0]
-        lamp, sun = conditions.lamp, conditions.sun
-        if lamp is not None:
-            return lambda solver: solver.lamp(lamp, cancel)[0]
-        assert self._albedo is not None
-        visibility: np.ndarray | float = 1.0
-        if conditions.shadow_map:
-            visibility = conditions.shadow_map.cell_visibility(len(self._albedo.density), parts=VISIBILITY_SAMPLES)
-        ballistic = self._albedo.solver(conditions.sigma_hat, 0.0, None, 1.0).unscattered(sun, visibility)
-
-        def fluence(solver: DiscreteOrdinates) -> np.ndarray:
-            # Light in the phase function's forward peak has scattered, too.
-            forward = np.maximum(solver.unscattered(sun, visibility) - ballistic, 0.0)
-            return solver.light(sun, visibility, cancel)[0] + forward
-
-        return fluence
+    def _source(self, conditions: Conditions, cells: int) -> CellSource:
+        """The conditions' sun or lamp, on so many cells along an edge."""
+        if conditions.lamp is not None:
+            return LampBeam(conditions.lamp)
+        shadow_map = conditions.shadow_map
+        visibility = shadow_map.cell_visibility(cells, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
+        return SunBeam(conditions.sun, visibility)
 
     def _solve_lamp(self, conditions: Conditions, cancel: CancelToken, albedo: float | None = None) -> _SolvedLamp:
         """The transport of a lamp of power 1; albedo: for which it is solved, None for what networks read."""
@@ -378,7 +367,7 @@ class RayPredictor(StencilPredictor):
                 self._lamps.clear()
             if albedo is None:
                 solver = self._solver(conditions)
-                light = solver.lamp(lamp, cancel)
+                light = solver.solve(LampBeam(lamp), cancel)
             else:
                 solver = self._new_solver(conditions, albedo)
                 medium = NearbyMedium(self.coarse, conditions.sigma_hat, self.anisotropy, albedo)
@@ -397,9 +386,8 @@ class RayPredictor(StencilPredictor):
         if found is None:
             if len(self._fluence) >= MAX_LATTICES:
                 self._fluence.clear()
-            solver, shadow_map = self._solver(conditions), conditions.shadow_map
-            visibility = shadow_map.cell_visibility(CELLS, parts=VISIBILITY_SAMPLES) if shadow_map else 1.0
-            cells = fluence_lattice(solver.light(conditions.sun, visibility, cancel), solver.boundaries)
+            solver = self._solver(conditions)
+            cells = fluence_lattice(solver.solve(self._source(conditions, CELLS), cancel), solver.boundaries)
             found = self._fluence[key] = cells, fluence_and_flux(cells)
         return found
 

@@ -64,7 +64,7 @@ class Channels:
     sigma_t: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """The work that a scene requires, and in words what is done and what is skipped.
 
@@ -325,23 +325,23 @@ def make_plan(
             "a smaller image or smaller grids"
         )
     return Plan(
-        rendered,
-        merged,
-        channels,
-        groups,
-        multiple,
-        scattered_emission,
-        planned,
-        left_out,
-        settings.leave_out,
-        needed,
-        tiles,
-        environments,
-        lamps,
-        predicts_lamps,
-        reflects,
-        unhidden,
-        clusters,
+        volumes=rendered,
+        suns=merged,
+        channels=channels,
+        groups=groups,
+        multiple=multiple,
+        scattered_emission=scattered_emission,
+        planned=planned,
+        left_out=left_out,
+        optimizations=settings.leave_out,
+        memory=needed,
+        tiles=tiles,
+        environments=environments,
+        lamps=lamps,
+        predicts_lamps=predicts_lamps,
+        reflects=reflects,
+        sky=unhidden,
+        lamp_clusters=clusters,
     )
 
 

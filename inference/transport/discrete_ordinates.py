@@ -21,20 +21,19 @@ feature for the network, which otherwise knows a point's surroundings in outline
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from ..grids.halving import halve
-from ..grids.optical_depth_sweep import sun_optical_depth
 from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.phase_function import henyey_greenstein, reduced_anisotropy
+from ..scene.phase_function import reduced_anisotropy
 from .diffusion import THIN, couple, solve
 from .ordinate_sweeps import OrdinateSweeps
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
+from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 #: Level of the density pyramid that has these cells, and its cells along an edge of the cube.
 LEVEL, CELLS = 2, 64
@@ -54,16 +53,11 @@ THICK_CELL = 0.25
 TOLERANCE, MAX_ITERATIONS = 0.1, 40
 # Numerical diffusion: even opaque cells pass light to their neighbours as if D were this fraction of their edge.
 CELL_DIFFUSION = 0.2
-# Cells whose beams are found at once: few enough for matrix products that stay on this thread.
-BEAMS_PER_BLOCK = 1024
-
-# Mean of a lamp's unscattered light over each cell of a solver, (x, y, z), and unit vectors (3, x, y, z) towards it.
-Beam = Callable[["DiscreteOrdinates", CancelToken], tuple[np.ndarray, np.ndarray]]
 # What follows light along the steps of one side.
 Follower = Callable[[], object]
 
 
-class _Fields(NamedTuple):
+class Fields(NamedTuple):
     """Light of one solution.
 
     field: float32 (5, x, y, z), fluence and flux that are to scatter, and the fluence of a beam. source: of the same
@@ -81,8 +75,25 @@ class _Fields(NamedTuple):
             values[...] = found
 
 
+class CellSource(Protocol):
+    """What lights the cells of a solver."""
+
+    @property
+    def linear(self) -> bool:
+        """Whether the solution has to be linear in it."""
+
+    def followers(self, solver: "DiscreteOrdinates", fields: Fields, cancel: CancelToken) -> Sequence[Follower]:
+        """How its light is followed in sweeps; may add to the fields what it knows of them. Raises Cancelled."""
+
+    def coarser(self, solver: "DiscreteOrdinates") -> "CellSource":
+        """The same for cells twice as large."""
+
+    def scattered(self, solver: "DiscreteOrdinates", cancel: CancelToken = NEVER) -> np.ndarray:
+        """Fluence (x, y, z) of all of its light that has scattered. Raises Cancelled."""
+
+
 class DiscreteOrdinates:
-    """Solver for the scattered light in one medium, for any sun.
+    """Solver for the light in one medium, of any source.
 
     density: float32 (n, n, n), a level of the density pyramid, n being CELLS or half of it. sigma_hat: extinction per
     unit density times the cube's edge. anisotropy: G > -1. triangles: (T, 3, 3), in the cube's frame, of black
@@ -98,6 +109,7 @@ class DiscreteOrdinates:
         albedo: float | np.ndarray = 1.0,
     ) -> None:
         n = len(density)
+        self.matter, self.sigma_hat = density, sigma_hat
         self.density, self.sigma = density, np.float32(sigma_hat)
         self.anisotropy = reduced_anisotropy(anisotropy)
         self.varies = isinstance(albedo, np.ndarray)
@@ -116,14 +128,14 @@ class DiscreteOrdinates:
         reduced = np.float32(sigma_hat * (1.0 - albedo * anisotropy)) * density
         self.coarser: DiscreteOrdinates | None = None
         if n >= MULTILEVEL_CELLS:
-            means = self._means(density)
+            means = self.means(density)
             if self.varies:
-                albedo_means = self._means(albedo * density) / np.maximum(means, np.float32(1e-30))
+                albedo_means = self.means(albedo * density) / np.maximum(means, np.float32(1e-30))
             else:
                 albedo_means = albedo
             self.coarser = DiscreteOrdinates(means, sigma_hat, anisotropy, triangles, albedo_means)
         self.diffusion = 1.0 / (3.0 * reduced + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
-        coarse_diffusion = 1.0 / (3.0 * self._means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
+        coarse_diffusion = 1.0 / (3.0 * self.means(reduced) + np.float32(THIN)) + np.float32(CELL_DIFFUSION / n)
         self.boundaries: CellBoundaries | None = None
         coarse_boundaries = None
         if triangles is not None and len(triangles):
@@ -132,47 +144,20 @@ class DiscreteOrdinates:
                 self.boundaries, coarse_boundaries = boundaries, CellBoundaries(triangles, n // 2)
         self.equation = couple(coarse_diffusion.astype(np.float64), 2.0 / n, coarse_boundaries)
         if self.varies:
-            self.equation[0][...] += (sigma_hat * (2.0 / n) ** 2) * self._means((1.0 - albedo) * density)
+            self.equation[0][...] += (sigma_hat * (2.0 / n) ** 2) * self.means((1.0 - albedo) * density)
         elif not self.conservative:
-            self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self._means(density)
+            self.equation[0][...] += (sigma_hat * (1.0 - albedo) * (2.0 / n) ** 2) * self.means(density)
         scattering = float(1.0 if self.varies else self.albedo), self.anisotropy
         self.sweeps = OrdinateSweeps(self.extinction, scattering, self.boundaries)
 
-    def light(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0, cancel: CancelToken = NEVER) -> np.ndarray:
-        """Fluence and flux, float32 (4, x, y, z), of the scattered light of a sun of irradiance 1.
-
-        sun: (3,) unit vector in the cube's frame. visibility: (x, y, z), fraction of its light that surfaces let
-        through. Raises Cancelled.
-        """
-        n = len(self.density)
-        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / n)
+    def solve(self, source: CellSource, cancel: CancelToken = NEVER) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of the light of a source, as it says. Raises Cancelled."""
         fields = self._fields()
-        # Mean of the beam over a cell, exact for a beam along an axis.
-        half = np.float32(0.5 / n) * self.extinction
-        fields.field[4] = visibility * np.exp(-np.maximum(tau - half, 0.0)) * (1.0 - self.sweeps.within[0])
-        phases = [self._phase(sign * STEPS[axis], sun) for axis, sign in SIDES]
-        # The quadrature of the phase function need not be exactly 1.
-        angles = [solid_angles(STEPS[axis]) for axis, _ in SIDES]
-        total = 4.0 * np.pi * sum((angle * phase).sum() for angle, phase in zip(angles, phases))
-        follow = self.sweeps.followers(fields.source, fields.swept, phases=[phase / total for phase in phases])
+        follow = source.followers(self, fields, cancel)
         if self.coarser is not None:
-            coarse_visibility = self._means(visibility) if isinstance(visibility, np.ndarray) else visibility
-            fields.start(self._finer(values) for values in self.coarser.light(sun, coarse_visibility, cancel))
-        return self._converge(fields, follow, cancel)
-
-    def lamp(self, beam: "Beam", cancel: CancelToken = NEVER) -> np.ndarray:
-        """Fluence and flux, float32 (4, x, y, z), of the scattered light of a lamp.
-
-        beam: of the lamp, on any number of cells. Raises Cancelled.
-        """
-        light, towards = beam(self, cancel)
-        fields, beams = self._fields(), self._beams(light.astype(np.float32), towards.astype(np.float32))
-        if self.varies:
-            beams *= self.albedo
-        follow = self.sweeps.followers(fields.source, fields.swept, beams=beams)
-        if self.coarser is not None:
-            fields.start(self._finer(values) for values in self.coarser.lamp(beam, cancel))
-        return self._converge(fields, follow, cancel)
+            coarse = self.coarser.solve(source.coarser(self), cancel)
+            fields.start(self._finer(values) for values in coarse)
+        return self._converge(fields, follow, cancel, source.linear)
 
     def moments(self, first: np.ndarray, beams: np.ndarray | None = None, cancel: CancelToken = NEVER) -> np.ndarray:
         """What becomes of light that scatters: radiance times each of `spherical_harmonics` of where it goes.
@@ -187,15 +172,15 @@ class DiscreteOrdinates:
             again = self._scattered_again(first, beams, cancel)
         else:
             # Smooth enough for cells twice as large.
-            coarse_first = np.stack([self._means(values) for values in first])
-            coarse_beams = None if beams is None else np.stack([self._means(values) for values in beams])
+            coarse_first = np.stack([self.means(values) for values in first])
+            coarse_beams = None if beams is None else np.stack([self.means(values) for values in beams])
             again = self.coarser._scattered_again(coarse_first, coarse_beams, cancel)
             again = np.stack([self._finer(values) for values in again])
         field, radiance = np.zeros((5, n, n, n), np.float32), np.empty((len(ORDINATES), n, n, n), np.float32)
         np.add(first, again, out=field[:4])
         self._limit_flux(field)
         follow = self.sweeps.followers(field, radiance, beams=beams)
-        self._sweep(_Fields(field, field, radiance), follow, cancel)
+        self._sweep(Fields(field, field, radiance), follow, cancel)
         weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
         return product_of_columns(weights.astype(np.float32), radiance.reshape(len(radiance), -1)).reshape(-1, n, n, n)
 
@@ -217,23 +202,22 @@ class DiscreteOrdinates:
             self._correct(again, change, cancel)
         return again
 
-    def _fields(self) -> "_Fields":
+    def _fields(self) -> "Fields":
         """Without any light."""
         n = len(self.density)
         field = np.zeros((5, n, n, n), np.float32)
         source = np.empty_like(field) if self.varies else field
-        return _Fields(field, source, np.empty((4, n, n, n), np.float32))
+        return Fields(field, source, np.empty((4, n, n, n), np.float32))
 
     def _converge(
-        self, fields: "_Fields", follow: Sequence[Follower], cancel: CancelToken, environment: bool = False
+        self, fields: "Fields", follow: Sequence[Follower], cancel: CancelToken, linear: bool = False
     ) -> np.ndarray:
         """Sweep, and correct by diffusion, until little changes; returns what is `swept`.
 
-        follow: of `OrdinateSweeps.followers` of these fields. environment: whether the light is an environment's, in
-        which the result has to be linear.
+        follow: of `OrdinateSweeps.followers` of these fields. linear: as of CellSource.
         """
         fine, converged = FINE_SWEEPS, CONVERGED
-        if environment:
+        if linear:
             fine, converged = ENVIRONMENT_FINE_SWEEPS, ENVIRONMENT_CONVERGED
         field, swept = fields.field, fields.swept
         sweeps = SWEEPS if self.coarser is None else fine
@@ -243,10 +227,10 @@ class DiscreteOrdinates:
             if number == sweeps - 1 or np.abs(change).sum() <= converged * (self.extinction * swept[0]).sum():
                 break
             fields.start(swept)
-            self._correct(field, change, cancel, limit=not environment)
+            self._correct(field, change, cancel, limit=not linear)
         return swept
 
-    def _sweep(self, fields: "_Fields", follow: Sequence[Follower], cancel: CancelToken) -> None:
+    def _sweep(self, fields: "Fields", follow: Sequence[Follower], cancel: CancelToken) -> None:
         """Fill `swept` with the light that the field scatters, and that of beams; arguments: `_converge`."""
         if self.boundaries is not None:
             np.multiply(fields.field, ~self.boundaries.inside, out=fields.field)
@@ -264,57 +248,13 @@ class DiscreteOrdinates:
             change *= ~self.boundaries.inside
         return change
 
-    def _beams(self, light: np.ndarray, towards: np.ndarray) -> np.ndarray:
-        """Light of a beam that scatters along each of ORDINATES, for albedo 1: float32 (26, x, y, z).
-
-        light: float32 (x, y, z). towards: float32 (3, x, y, z), unit vectors against the beam.
-        """
-        beams = np.zeros((len(ORDINATES), *light.shape), np.float32)
-        flat, towards, lit = beams.reshape(len(ORDINATES), -1), towards.reshape(3, -1), np.flatnonzero(light)
-        # Henyey and Greenstein's phase function but for a factor, which the quadrature divides out.
-        g = np.float32(abs(self.anisotropy))
-        turned = (np.copysign(1.0, self.anisotropy) * ORDINATES).astype(np.float32)
-        weights = (4.0 * np.pi * ORDINATE_WEIGHTS).astype(np.float32)
-        for start in range(0, len(lit), BEAMS_PER_BLOCK):
-            some = lit[start : start + BEAMS_PER_BLOCK]
-            phases = np.maximum(1 - turned @ towards[:, some], np.float32(0.0))
-            phases *= 2 * g
-            phases += (1 - g) ** 2
-            phases *= np.sqrt(phases)
-            np.reciprocal(phases, out=phases)
-            flat[:, some] = phases * (light.reshape(-1)[some] / np.einsum("dn,d->n", phases, weights))
-        return beams
-
-    def environment(self, radiance: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
-        """Fluence and flux, float32 (4, x, y, z), of all light of an environment, unscattered light included.
-
-        radiance: (26,), that arrives from ORDINATES. Linear in it. Raises Cancelled.
-        """
-        fields = self._fields()
-        follow = self.sweeps.followers(fields.source, fields.swept, entering=np.asarray(radiance, np.float32))
-        if self.coarser is not None:
-            fields.start(self._finer(values) for values in self.coarser.environment(radiance, cancel))
-        elif self.conservative:
-            # Exact for even light, which no albedo of 1 changes.
-            fields.field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ radiance)
-        return self._converge(fields, follow, cancel, environment=True)
-
-    def unscattered(self, sun: np.ndarray, visibility: np.ndarray | float = 1.0) -> np.ndarray:
-        """Fluence float32 (x, y, z) of a sun's light that counts as unscattered, as of `light`, in cells' centres."""
-        tau = self.sigma * sun_optical_depth(self.density, sun, 1.0 / len(self.density))
-        return visibility * np.exp(-tau)
-
-    def _phase(self, steps: np.ndarray, sun: np.ndarray) -> np.ndarray:
-        """Henyey-Greenstein phase function (D,) of a sun's beam along steps (D, 3)."""
-        return henyey_greenstein(-(steps @ sun) / np.sqrt((steps**2).sum(axis=1)), self.anisotropy)
-
     def _correct(self, field: np.ndarray, change: np.ndarray, cancel: CancelToken, limit: bool = True) -> None:
         """Add the diffusion of sources (x, y, z) that the field, (5, x, y, z), has not scattered yet.
 
         limit: whether sources are kept from being negative, which makes the solution not quite linear.
         """
         n = len(self.density)
-        source = self._means(change) * np.float32((2.0 / n) ** 2)
+        source = self.means(change) * np.float32((2.0 / n) ** 2)
         found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, cancel)
         more = self._finer(found.astype(np.float32))
         field[0] += more
@@ -333,7 +273,7 @@ class DiscreteOrdinates:
         size = np.sqrt((field[1:4] ** 2).sum(axis=0)) * np.float32(3.0 * abs(self.anisotropy))
         field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
 
-    def _means(self, values: np.ndarray) -> np.ndarray:
+    def means(self, values: np.ndarray) -> np.ndarray:
         """Means of 2 x 2 x 2 cells."""
         means = np.empty([n // 2 for n in values.shape], np.float32)
         halve(np.ascontiguousarray(values, np.float32), means)

@@ -16,6 +16,7 @@ from ..grids.halving import halve
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
+from .cell_sources import EnteringLight
 from .discrete_ordinates import DiscreteOrdinates
 from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 
@@ -181,13 +182,13 @@ def solve_environment(
     light = np.asarray(radiance).T / (4.0 * np.pi)
     even = np.full((1, len(ORDINATES)), 1.0 / (4.0 * np.pi))
     solver = DiscreteOrdinates(coarse, sigma_hat, anisotropy)
-    found = np.stack([solver.environment(channel, cancel) for channel in light], axis=1)
+    found = np.stack([solver.solve(EnteringLight(channel), cancel) for channel in light], axis=1)
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
     halve(np.ascontiguousarray(coarse), coarser)
     absorbed = []
     for albedo in ALBEDOS:
         solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, albedo=albedo)
-        absorbed += [solver.environment(channel, cancel) for channel in np.concatenate([light, even])]
+        absorbed += [solver.solve(EnteringLight(channel), cancel) for channel in np.concatenate([light, even])]
     return environment_lattice(found), environment_lattice(np.stack(absorbed, axis=1))
 
 

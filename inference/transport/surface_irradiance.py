@@ -9,6 +9,7 @@ from ..grids.working_cube import Cube
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment
+from .cell_sources import EnteringLight, SunBeam
 from .discrete_ordinates import DiscreteOrdinates
 from .environment_light import environment_lattice, image_in_frame, ordinate_radiance, read_lattice
 from .ordinates import ORDINATE_WEIGHTS, ORDINATES
@@ -41,14 +42,14 @@ class SurfaceIrradiance:
             shadow_map = shadow_map.transformed(cube.rotation * cube.edge, cube.centre)
             # The density has been taken from what lies behind surfaces, so that the rest of such a cell is lit.
             visibility = shadow_map.cell_visibility(2 * n).reshape(n, 2, n, 2, n, 2).max(axis=(1, 3, 5))
-        return self._flux(self.solver.light(self.cube.directions(direction), visibility, cancel))
+        return self._flux(self.solver.solve(SunBeam(self.cube.directions(direction), visibility), cancel))
 
     def share(self, environments: Sequence[Environment], cancel: CancelToken = NEVER) -> np.ndarray:
         """Share (N,) that reaches the points of environments' irradiance, scattered or not. Raises Cancelled."""
         radiance = ordinate_radiance(image_in_frame(environments, self.cube.rotation)).mean(axis=1)
         # The ordinates stand for parts of the sphere, which makes the flux smaller, but also without the medium.
         whole = 4.0 * np.pi * (self.normals @ ORDINATES.T) @ (ORDINATE_WEIGHTS * radiance)
-        return self._flux(self.solver.environment(radiance, cancel)) / np.maximum(whole, 1e-30)
+        return self._flux(self.solver.solve(EnteringLight(radiance), cancel)) / np.maximum(whole, 1e-30)
 
     def _flux(self, light: np.ndarray) -> np.ndarray:
         """Flux (N,) into the surfaces; light: float32 (4, x, y, z), fluence and flux."""

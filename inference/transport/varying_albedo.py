@@ -20,7 +20,7 @@ from ..grids.halving import halve
 from ..grids.working_cube import Cube, level0_density
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
-from .discrete_ordinates import DiscreteOrdinates
+from .discrete_ordinates import CellSource, DiscreteOrdinates
 
 #: Cells along an edge of the working cube on which the transport is solved for albedos that vary.
 CELLS = 32
@@ -34,9 +34,6 @@ LOWEST = 0.02
 NEGLIGIBLE = 1e-3
 # Fluences below this are equal.
 MIN_FLUENCE = 1e-12
-
-#: Fluence (x, y, z) of scattered light, as a solver finds it.
-FluenceOf = Callable[[DiscreteOrdinates], np.ndarray]
 
 
 class CoarseAlbedo:
@@ -73,11 +70,13 @@ class CoarseAlbedo:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
         return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, albedo)
 
-    def places(self, solver_of: Callable[..., DiscreteOrdinates], fluence: FluenceOf) -> np.ndarray:
+    def places(
+        self, solver_of: Callable[..., DiscreteOrdinates], source: CellSource, cancel: CancelToken = NEVER
+    ) -> np.ndarray:
         """Where the albedo lies among those enclosing it, seen through all scattering, in [0, L - 1].
 
         float32 (n + 2, n + 2, n + 2, C) of C = 1 or 3 channels, the outermost cells repeated once beyond each face.
-        solver_of: a solver for an albedo. fluence: of all light that has scattered, found by a solver.
+        solver_of: a solver for an albedo. source: of light. Raises Cancelled.
         """
         n, uniform = len(self.density), {}
         found = np.zeros((n, n, n, len(self.channels)), np.float32)
@@ -86,10 +85,10 @@ class CoarseAlbedo:
                 continue
             for number in enclosing:
                 if number not in uniform:
-                    uniform[number] = _logarithm(fluence(solver_of(float(self.uniform[number]))))
+                    uniform[number] = _logarithm(source.scattered(solver_of(float(self.uniform[number])), cancel))
             # More is never less, whatever the solver's accuracy.
             known = np.maximum.accumulate([uniform[number] for number in enclosing], axis=0)
-            here = _logarithm(fluence(solver_of(albedo)))
+            here = _logarithm(source.scattered(solver_of(albedo), cancel))
             for below, above in zip(known[:-1], known[1:]):
                 found[..., c] += np.clip((here - below) / np.maximum(above - below, 1e-6), 0.0, 1.0)
             # Where no light comes the albedo is what it is there.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, RenderCache, Settings, Sun, Volume, bake, render
+from inference import Camera, Medium, RenderCache, Settings, Sun, Volume, bake, predict_multiple, render
 from inference.plan.lights import brightest_light
 
 # A thin medium in a cube from -1 to 1, so that single scattering tells where light falls.
@@ -117,3 +117,13 @@ def test_it_bakes():
     light = lit.scattered[1:-1, 1:-1, 1:-1].mean(axis=(1, 2, 3))
     middle = len(light) // 2
     assert light[middle] > 1.2 * light[-3] > 0.0
+
+
+def test_it_is_asked_at_points():
+    # Light that scattered more than once: most in the sheet, less the farther away.
+    positions = np.stack([np.array([0.0, 0.4, 0.8]), np.zeros(3), np.zeros(3)], axis=1)
+    towards = np.broadcast_to([0.0, 0.0, -1.0], positions.shape)
+    light = predict_multiple(SMOKE, MEDIUM, SHEET, positions, towards)[:, 0]
+    assert light[0] > light[1] > light[2] > 0.0
+    whole = predict_multiple(SMOKE, MEDIUM, Sun(SHEET.direction, SHEET.irradiance), positions, towards)[:, 0]
+    assert np.all(light < whole)

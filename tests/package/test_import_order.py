@@ -37,10 +37,11 @@ ROOMS = {
         "features",
         "network",
         "render_cache",
-        "predict_multiple",
         "image",
         "render",
+        "points",
         "baking",
+        "predict_multiple",
         "evaluation",
     ),
     "mrpnn_addon": (

@@ -47,6 +47,27 @@ def test_quitting_ends_all_threads(program, awaited):
     assert run.returncode == 0 and "ended" in run.stdout.splitlines(), run.stdout + run.stderr
 
 
+UPDATE = """
+import importlib
+name = name.replace("mrpnn_addon.runtime.background", "inference.kernels.library")
+path = str(importlib.import_module(name).load_kernels().path)
+mapped = lambda: path in open("/proc/self/maps").read()
+assert mapped()
+done = bpy.ops.extensions.package_install_files(
+    filepath=sys.argv[-1], repo="user_default", enable_on_install=True, overwrite=True)
+assert done == {"FINISHED"} and worker.done and not mapped()
+assert str(importlib.import_module(name).load_kernels().path) == path and mapped()
+print("updated")
+"""
+
+
+def test_an_update_ends_threads_and_gives_the_kernels_library_back(program):
+    """So that Windows can replace it."""
+    script = WORKING.replace("AWAITED", "True") + UPDATE
+    run = program("-b", "--python-exit-code", "1", "--python-expr", script, "--", program.folder / "mrpnn.zip")
+    assert run.returncode == 0 and "updated" in run.stdout, run.stdout + run.stderr
+
+
 @pytest.mark.parametrize("frames", [("-a",), ("-f", "1..2")])
 def test_an_animation_without_its_volume_goes_on_and_says_so(program, frames):
     folder = program.folder

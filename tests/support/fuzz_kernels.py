@@ -35,6 +35,7 @@ from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.onnx.products import Weights
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
+from inference.transport.cell_sources import SunBeam
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from inference.transport.forward_peak import forward_peak
@@ -124,7 +125,8 @@ def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
 def march(random: np.random.Generator) -> None:
     """Rays through a scene of any kind."""
     scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8)
-    march = Marcher(scene.media, scene.options, scene.channels, ctypes.c_int32(0), scene.lamps)
+    options = replace(scene.options, at_start=random.random() < 0.3)
+    march = Marcher(scene.media, options, scene.channels, ctypes.c_int32(0), scene.lamps)
     for array in contents(scene):
         if random.random() < 0.6:
             spoil(random, array)
@@ -173,7 +175,10 @@ def columns(random: np.random.Generator) -> None:
     """Columns along a sun's rays, and depths at cells."""
     grid, towards = random_grid(random), direction(random)
     spoil_blocks(random, grid)
-    SunOpticalDepth(grid, towards)
+    depth, points = SunOpticalDepth(grid, towards), spoiled(random, (3, int(random.integers(1, 60))))
+    # Which decides how much is integrated.
+    depth.peak = float(random.random())
+    depth(points, float(10.0 ** random.uniform(-3.0, 5.0)), may_be_outside=random.random() < 0.5)
     if isinstance(grid, DenseGrid):
         sun_optical_depth(grid.padded, towards, 0.1)
 
@@ -183,7 +188,7 @@ def transport(random: np.random.Generator) -> None:
     n = int(random.choice([4, 6, 8, 16]))
     triangles = random.normal(size=(3, 3, 3)) * 0.3 if random.random() < 0.5 else None
     density, sigma = spoiled(random, (n, n, n)), float(10.0 ** random.uniform(-3.0, 5.0))
-    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles).light(direction(random))
+    DiscreteOrdinates(density, sigma, float(random.uniform(-0.9, 0.9)), triangles).solve(SunBeam(direction(random)))
     shape = tuple(random.integers(1, 12, 3).tolist())
     extinction, emission = (spoiled(random, shape, np.float64) for _ in range(2))
     sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])))

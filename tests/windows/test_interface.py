@@ -278,14 +278,16 @@ def test_panels_show_names_that_are_not_utf8(window):
     before = len(window.console)
     try:
         assert window.do(ODD_NAMES).endswith("MRPNN")
-        for tab in ("RENDER", "VIEW_LAYER", "WORLD", "OBJECT", "DATA", "MATERIAL"):
-            for kind in ("VOLUME", "LIGHT", "CAMERA"):
-                window.do(
-                    f"shown = next(item for item in scene.objects if item.type == '{kind}')\n"
-                    "bpy.context.view_layer.objects.active = shown\n"
-                    "area('PROPERTIES').spaces.active.context = 'OBJECT'"
-                )
-                window.shot("odd-names-object", window.box("PROPERTIES"))
+        for kind, tabs in (
+            ("VOLUME", ("OBJECT", "DATA", "RENDER", "VIEW_LAYER", "WORLD")),
+            ("LIGHT", ("OBJECT", "DATA")),
+            ("CAMERA", ("OBJECT", "DATA")),
+        ):
+            window.do(
+                f"shown = next(item for item in scene.objects if item.type == '{kind}')\n"
+                "bpy.context.view_layer.objects.active = shown"
+            )
+            for tab in tabs:
                 window.do(f"area('PROPERTIES').spaces.active.context = '{tab}'")
                 window.shot(f"odd-names-{tab.lower()}", window.box("PROPERTIES"))
         said = window.console[before:]

@@ -39,6 +39,7 @@ from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.marching.marcher import ray_features_at
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
+from inference.transport.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
 from inference.transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
@@ -188,7 +189,7 @@ def describe_light(volume, cube, pyramid, suns, media, points: ScatteringPoints)
         sigma, anisotropy = media[number]
         own = np.flatnonzero(points.medium == number)
         ordinates = DiscreteOrdinates(pyramid[LEVEL], sigma * cube.edge, anisotropy)
-        lattices = [fluence_lattice(ordinates.light(sun)) for sun in l]
+        lattices = [fluence_lattice(ordinates.solve(SunBeam(sun))) for sun in l]
         for k, values in enumerate(lattices):
             around[own, k] = FluenceLattice(values).read(x[own], w[own], l[k], anisotropy)
             gather = FinalGather.of(fine, shadows[k], fluence_and_flux(values), (sigma * cube.edge, anisotropy))

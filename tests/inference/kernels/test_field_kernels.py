@@ -35,6 +35,7 @@ from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.runtime.cancellation import Cancelled, CancelToken
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
+from inference.transport.cell_sources import LampBeam, SunBeam
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.lamp_beam import LampInCube
@@ -191,7 +192,9 @@ def test_lamps_light(albedo):
     if albedo == "varies":
         albedo = random.uniform(0.2, 1.0, density.shape).astype(np.float32)
     triangles = np.array([[[-0.2, -0.5, -0.5], [-0.2, 0.5, -0.5], [-0.2, 0.0, 0.5]]])
-    expected, found = in_numpy_and_compiled(lambda: DiscreteOrdinates(density, 20.0, 0.4, triangles, albedo).lamp(lamp))
+    expected, found = in_numpy_and_compiled(
+        lambda: DiscreteOrdinates(density, 20.0, 0.4, triangles, albedo).solve(LampBeam(lamp))
+    )
     assert expected.shape == (4, 16, 16, 16) and expected[0].max() > 0.0
     for light in found:
         assert_close(expected, light)
@@ -215,7 +218,9 @@ def test_light_gathered_around_camera_rays(sigma_hat, anisotropy):
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(1e-3, 0.0), (20.0, 0.857), (300.0, -0.4), (1e5, 0.857)])
 def test_discrete_ordinates(sigma_hat, anisotropy):
     density, sun = some_density("lumps", (CELLS,) * 3), np.array([0.48, 0.6, 0.64])
-    expected, found = in_numpy_and_compiled(lambda: DiscreteOrdinates(density, sigma_hat, anisotropy).light(sun))
+    expected, found = in_numpy_and_compiled(
+        lambda: DiscreteOrdinates(density, sigma_hat, anisotropy).solve(SunBeam(sun))
+    )
     for light in found:
         assert_close(expected, light)
         assert_close(found[0], light, BETWEEN_VARIANTS)
@@ -227,7 +232,7 @@ def test_discrete_ordinates_beside_surfaces():
     visibility = np.random.default_rng(2).random(density.shape).astype(np.float32)
     solver = DiscreteOrdinates(density, 30.0, 0.5, triangles)
     assert solver.boundaries is not None
-    expected, (*_, found) = in_numpy_and_compiled(lambda: solver.light(sun, visibility))
+    expected, (*_, found) = in_numpy_and_compiled(lambda: solver.solve(SunBeam(sun, visibility)))
     assert_close(expected, found)
 
 
@@ -374,7 +379,7 @@ def test_no_call_lasts_long(monkeypatch):
         padded_pyramid(one, fit_cube(one), load_network("mrpnn").points)
         Grid(one).sun_depths([np.array([0.0, 0.6, 0.8])])
     merge([Grid(blocks), Grid(volume)], [Medium(1.0), Medium(1.0)], "both")
-    DiscreteOrdinates(np.ones((CELLS,) * 3, np.float32), 1e3, 0.857).light(np.array([0.0, 0.6, 0.8]))
+    DiscreteOrdinates(np.ones((CELLS,) * 3, np.float32), 1e3, 0.857).solve(SunBeam(np.array([0.0, 0.6, 0.8])))
     assert len(kernels.longest) == 7
     assert max(kernels.longest.values()) < CALL, kernels.longest
 
@@ -393,7 +398,7 @@ def test_work_that_is_cancelled_ends(work):
     todo = {
         "columns": lambda: SunOpticalDepth(DenseGrid(density), np.array([0.0, 0.6, 0.8]), cancel),
         "blocks": lambda: SunOpticalDepth(SparseGrid.of_dense(density), np.array([0.0, 0.6, 0.8]), cancel),
-        "transport": lambda: DiscreteOrdinates(cube, 5.0, 0.5).light(SUN.direction, 1.0, cancel),
+        "transport": lambda: DiscreteOrdinates(cube, 5.0, 0.5).solve(SunBeam(SUN.direction, 1.0), cancel),
         "means": lambda: level0_density(Volume(density, np.eye(4), "cloud"), fit_cube(sheared), cancel),
         "resampling": lambda: level0_density(sheared, fit_cube(sheared), cancel),
         "diffusion": lambda: solve(couple(thin, 1.0), thin, 0.0, 0.0, 10**9, cancel),

@@ -113,7 +113,8 @@ def test_directions_are_turned_to_where_the_phase_function_equals_its_mean(aniso
     pixel = np.arange(len(directions))
 
     def equivalent(sun, anisotropy):
-        return EquivalentDirections(view, sun, anisotropy)(view.window, pixel, directions)
+        row, column = np.divmod(pixel, view.resolution[0])
+        return EquivalentDirections(view, sun, anisotropy)(directions, (column + 0.5, row + 0.5))
 
     found = equivalent(sun, anisotropy)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)

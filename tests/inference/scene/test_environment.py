@@ -18,6 +18,7 @@ from inference.plan.plan import make_plan
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
 from inference.transport.blurred_environment import blurred
+from inference.transport.cell_sources import EnteringLight
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.environment_light import (
     ALBEDOS,
@@ -143,11 +144,11 @@ def test_coarse_transport_is_linear_and_keeps_even_light():
     radiance = ordinate_radiance(sky().astype(np.float64))
     np.testing.assert_allclose(ORDINATE_WEIGHTS @ radiance, Environment(sky()).fluence() / (4 * math.pi), rtol=1e-6)
     solver = DiscreteOrdinates(density, 80.0, 0.857)
-    even = solver.environment(np.ones(26))
+    even = solver.solve(EnteringLight(np.ones(26)))
     np.testing.assert_allclose(even[0], 4 * math.pi, rtol=1e-5)
     np.testing.assert_allclose(even[1:], 0.0, atol=1e-4)
-    first, second = (solver.environment(one) for one in radiance.T[:2])
-    both = solver.environment(radiance[:, 0] + 2.0 * radiance[:, 1])
+    first, second = (solver.solve(EnteringLight(one)) for one in radiance.T[:2])
+    both = solver.solve(EnteringLight(radiance[:, 0] + 2.0 * radiance[:, 1]))
     # The iterations may end one sweep apart.
     np.testing.assert_allclose(both, first + 2.0 * second, atol=0.02 * both[0].mean())
 
@@ -189,7 +190,7 @@ def test_coarse_transport_in_absorbing_media(albedo, anisotropy):
     """Converged, even light in the middle of an absorbing medium decays as diffusion theory says."""
     n, sigma = 32, 40.0
     solver = DiscreteOrdinates(np.ones((n, n, n), np.float32), sigma, anisotropy, albedo=albedo)
-    fluence, *flux = solver.environment(np.full(26, 1.0 / (4.0 * math.pi)))
+    fluence, *flux = solver.solve(EnteringLight(np.full(26, 1.0 / (4.0 * math.pi))))
     assert -1e-3 < fluence.min() and fluence.max() < 1.0
     # Absorbed light is what enters: the divergence of the flux.
     inside = slice(8, 24)
@@ -197,7 +198,7 @@ def test_coarse_transport_in_absorbing_media(albedo, anisotropy):
     absorbed = -sigma * (1.0 - albedo) * fluence[inside, inside, inside]
     assert np.abs(loss - absorbed).mean() < 0.1 * np.abs(absorbed).mean() + 0.02
     thinner = DiscreteOrdinates(np.ones((n, n, n), np.float32), sigma, anisotropy, albedo=0.5 + 0.5 * albedo)
-    assert np.all(thinner.environment(np.full(26, 1.0 / (4.0 * math.pi)))[0] >= fluence - 1e-3)
+    assert np.all(thinner.solve(EnteringLight(np.full(26, 1.0 / (4.0 * math.pi))))[0] >= fluence - 1e-3)
 
 
 def test_every_candidate_is_the_radiance_of_even_light():

@@ -9,6 +9,7 @@ from inference.grids.working_cube import fit_cube
 from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import reduced_anisotropy
 from inference.transport import scattered_fluence
+from inference.transport.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.ordinates import STEPS, solid_angles
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
@@ -51,7 +52,7 @@ def test_thin_fog_is_single_scattering():
     Over the 26 directions: 0.689, where the mean over all is 0.611.
     """
     density, sigma = np.ones((CELLS,) * 3, np.float32), 1e-3
-    fluence = DiscreteOrdinates(density, sigma, 0.0).light(SLANT)[0]
+    fluence = DiscreteOrdinates(density, sigma, 0.0).solve(SunBeam(SLANT))[0]
     steps = np.concatenate(STEPS)
     expected = sigma * 2.0 * solid_angles(steps) @ (0.5 * np.linalg.norm(steps, axis=1))
     half = CELLS // 2
@@ -77,9 +78,9 @@ def test_it_is_close_to_the_path_tracer(cloud, sigma_hat, anisotropy, tolerance)
     omega = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
     vertices = Vertices(positions, omega, sigma_hat, anisotropy, [1.0])
     traced = trace_points(Scene(cloud, SLANT), vertices, Sampling(20000, seed=2))[:, 0, 0]
-    cells = scattered_fluence.fluence_lattice(DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)).astype(
-        np.float32
-    )
+    cells = scattered_fluence.fluence_lattice(
+        DiscreteOrdinates(cloud, sigma_hat, anisotropy).solve(SunBeam(SLANT))
+    ).astype(np.float32)
     read = scattered_fluence.FluenceLattice(cells).read(positions, omega, SLANT, anisotropy)
     radiance = np.exp(read[:, scattered_fluence.PROBES]) / (4.0 * np.pi)
     # What counts as unscattered is missing here.
@@ -91,9 +92,9 @@ def test_it_is_close_to_the_path_tracer(cloud, sigma_hat, anisotropy, tolerance)
 
 
 def test_rotating_volume_and_sun_rotates_the_fluence(cloud):
-    light = DiscreteOrdinates(cloud, 60.0, 0.6).light(SLANT)
-    turned = DiscreteOrdinates(np.ascontiguousarray(cloud.transpose(1, 2, 0)[:, :, ::-1]), 60.0, 0.6).light(
-        SLANT[[1, 2, 0]] * [1, 1, -1]
+    light = DiscreteOrdinates(cloud, 60.0, 0.6).solve(SunBeam(SLANT))
+    turned = DiscreteOrdinates(np.ascontiguousarray(cloud.transpose(1, 2, 0)[:, :, ::-1]), 60.0, 0.6).solve(
+        SunBeam(SLANT[[1, 2, 0]] * [1, 1, -1])
     )
     expected = light[[0, 2, 3, 1]].transpose(0, 2, 3, 1)[:, :, :, ::-1] * np.array([1, 1, 1, -1])[:, None, None, None]
     np.testing.assert_allclose(turned, expected, rtol=2e-3, atol=2e-4)
@@ -102,17 +103,17 @@ def test_rotating_volume_and_sun_rotates_the_fluence(cloud):
 @pytest.mark.parametrize("sigma_hat", [1.0, 50.0, 2000.0])
 @pytest.mark.parametrize("anisotropy", [-0.3, 0.0, 0.857, 0.95])
 def test_the_fluence_is_neither_negative_nor_above_any_mediums_bound(cloud, sigma_hat, anisotropy):
-    fluence, *flux = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)
+    fluence, *flux = DiscreteOrdinates(cloud, sigma_hat, anisotropy).solve(SunBeam(SLANT))
     assert np.all(fluence >= 0.0) and fluence.max() < MAX_FLUENCE
     assert np.all(np.sqrt(sum(f**2 for f in flux)) <= fluence * (1.0 + 1e-4) + 1e-6)
 
 
 @pytest.mark.parametrize("sigma_hat, anisotropy", [(150.0, 0.4), (300.0, 0.0), (400.0, 0.857)])
 def test_more_sweeps_change_little(cloud, monkeypatch, sigma_hat, anisotropy):
-    few = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)[0]
+    few = DiscreteOrdinates(cloud, sigma_hat, anisotropy).solve(SunBeam(SLANT))[0]
     for name, value in (("FINE_SWEEPS", 40), ("SWEEPS", 40), ("CONVERGED", 1e-6)):
         monkeypatch.setattr(f"inference.transport.discrete_ordinates.{name}", value)
-    many = DiscreteOrdinates(cloud, sigma_hat, anisotropy).light(SLANT)[0]
+    many = DiscreteOrdinates(cloud, sigma_hat, anisotropy).solve(SunBeam(SLANT))[0]
     assert np.abs(few - many).sum() < 0.03 * many.sum()
 
 
@@ -125,8 +126,8 @@ def test_behind_a_wall_it_is_dark_and_before_it_is_half_a_cube(cloud):
     x, y, z = middles()
     half = np.where(z > 0.0, cloud, 0.0).astype(np.float32)
     lit = (z > 0.0).astype(np.float32)
-    walled = DiscreteOrdinates(cloud, 30.0, 0.5, rectangle(0.0)).light(UP, lit)[0]
-    alone = DiscreteOrdinates(half, 30.0, 0.5).light(UP)[0]
+    walled = DiscreteOrdinates(cloud, 30.0, 0.5, rectangle(0.0)).solve(SunBeam(UP, lit))[0]
+    alone = DiscreteOrdinates(half, 30.0, 0.5).solve(SunBeam(UP))[0]
     # Light that goes down through an empty half of the cube does not return, as at the wall.
     np.testing.assert_allclose(walled[..., CELLS // 2 + 1 :], alone[..., CELLS // 2 + 1 :], rtol=0.05, atol=0.01)
     assert walled[..., : CELLS // 2].max() < 1e-6
@@ -141,7 +142,10 @@ def test_light_stays_outside_a_box(cloud):
     ordinates = DiscreteOrdinates(cloud, 30.0, 0.5, sides)
     box = np.all([np.abs(x) < high for x in middles()], axis=0)
     np.testing.assert_array_equal(ordinates.boundaries.inside, box)
-    found, free = ordinates.light(UP, (~box).astype(np.float32))[0], DiscreteOrdinates(cloud, 30.0, 0.5).light(UP)[0]
+    found, free = (
+        ordinates.solve(SunBeam(UP, (~box).astype(np.float32)))[0],
+        DiscreteOrdinates(cloud, 30.0, 0.5).solve(SunBeam(UP))[0],
+    )
     assert found[box].max() < 1e-2 * free[box].min() and found.sum() < 0.9 * free.sum()
 
 

@@ -7,6 +7,7 @@ import pytest
 from inference import Environment, Medium, PointLight, SceneError, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
+from inference.transport.cell_sources import EnteringLight, SunBeam
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from tests.support.volumes import SUN, camera, cloud
 
@@ -121,9 +122,9 @@ def test_transport_of_one_albedo_is_that_of_a_grid_of_it():
         one = DiscreteOrdinates(density, 30.0, anisotropy, albedo=0.9)
         grid = DiscreteOrdinates(density, 30.0, anisotropy, albedo=np.full_like(density, 0.9))
         sun = np.array([0.6, 0.0, 0.8])
-        np.testing.assert_allclose(grid.light(sun)[0], one.light(sun)[0], rtol=1e-3)
+        np.testing.assert_allclose(grid.solve(SunBeam(sun))[0], one.solve(SunBeam(sun))[0], rtol=1e-3)
         even = np.ones(26)
-        np.testing.assert_allclose(grid.environment(even)[0], one.environment(even)[0], rtol=1e-3)
+        np.testing.assert_allclose(grid.solve(EnteringLight(even))[0], one.solve(EnteringLight(even))[0], rtol=1e-3)
 
 
 @pytest.mark.parametrize(

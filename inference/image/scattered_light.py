@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adds the light that each group of volumes scatters in each light, at the depth samples of camera rays."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..marching.depth_samples import DepthSamples
+from ..network.estimators import LitPoints
+from ..network.predictor import POINTS_PER_TASK
+from .adaptive_evaluation import distance_guide, evaluate_adaptively, pixels_per_voxel, sample_batches, scattered_shares
+from .adaptive_interpolation import Guide
+from .context import RenderContext, Tile
+from .framebuffer import add_at
+from .predicted_error import SparseDeviation
+from .sources import Source
+
+
+def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile: Tile, samples: DepthSamples) -> None:
+    """Add the light of every source to the tile, and its uncertainty. Raises Cancelled."""
+    with tile.report.stage("network"):
+        for source in sources:
+            some = samples if source.needs_detail else samples.nodes
+            inside = np.flatnonzero(some.share(source.members))
+            if not len(inside):
+                continue
+            estimate = TileEstimate(context, some, tile, source)
+            if source.adaptive:
+                tile.report.count("network points wanted", len(inside))
+            if source.adaptive and "shared_pixels" in context.settings.leave_out:
+                evaluate_adaptively(estimate, inside, tile.camera.window, _single(source, tile))
+            else:
+                estimate.evaluate(inside)
+            for row, radiance in zip(source.rows, estimate.radiance):
+                if row.once:
+                    tile.framebuffer.single[:, row.channels] += radiance[:, None]
+                elif context.settings.multiple:
+                    tile.framebuffer.multiple[:, row.channels] += radiance[:, None]
+            if source.adaptive:
+                tile.framebuffer.uncertainty += estimate.error
+            tile.framebuffer.deviation += estimate.deviation()
+
+
+def _single(source: Source, tile: Tile) -> np.ndarray:
+    """Single scattering (C, P) of a source, about, where it tells how its light varies; else 0."""
+    if not source.lights:
+        return np.zeros((1, len(tile.framebuffer.alpha)))
+    channels = sorted(c for row in source.rows for c in row.channels)
+    return tile.framebuffer.single[:, channels].T / source.lights
+
+
+class TileEstimate:
+    """The light of one source in a tile of P pixels; an `Estimate`.
+
+    radiance: float64 (K, P), of the source's rows; in double precision it does not depend on how points are divided
+    among calls. error: float32 (P,), its standard error, as a mean over all three channels.
+    """
+
+    def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: Source):
+        pixels = len(tile.framebuffer.alpha)
+        self.context, self.samples, self.source, self.report = context, samples, source, tile.report
+        self.camera = tile.camera
+        self.share = samples.share(source.members)
+        self.pixel = samples.pixel[samples.ray]
+        self.radiance, self.quantities = np.zeros((len(source.rows), pixels)), source.channels
+        self.error = np.zeros(pixels, np.float32)
+        self._sparse = None if source.estimator.uncertainty is None else SparseDeviation(tile.camera)
+        # Samples whose error is to be told: numbers and what was predicted, (A, N, ...).
+        self._told: list[tuple[np.ndarray, np.ndarray]] = []
+        self._depths: np.ndarray | None = None
+        if source.estimator.needs_depths:
+            behind, whole = samples.optical_depths()
+            self._depths = np.stack([np.maximum(whole - behind, 0.0), behind], axis=1).astype(np.float32)
+
+    def evaluate(self, points: np.ndarray) -> None:
+        """Predict at some samples and add their radiance."""
+        source, estimator = self.source, self.source.estimator
+        # Contribution of each sample to the mean of the three channels.
+        parts = np.zeros(len(self.pixel), np.float32)
+        for done in sample_batches(points):
+            self.context.cancel.check()
+            asked, pixel = self._asked(done), self.pixel[done]
+            predicted = estimator.predict(asked)
+            weight, mean, told = self._weight(done), np.zeros(len(done)), estimator.radiance(predicted, asked)
+            for number, row in enumerate(source.rows):
+                if row.quantity in told:
+                    part = weight[:, number] * told[row.quantity]
+                    add_at(self.radiance[number], pixel, part)
+                    mean += len(row.channels) * part
+            parts[done] = mean / 3.0
+            if self._sparse is not None:
+                known = np.flatnonzero(self._sparse.known[pixel])
+                self._told.append((done[known], predicted[:, known]))
+        if len(points) and source.adaptive:
+            add_at(self.error, *self.samples.standard_error(parts, points))
+        if estimator.answers:
+            self.report.count("network points", len(points))
+            self.report.count("network answers", len(points) * estimator.answers)
+
+    def _weight(self, points: np.ndarray) -> np.ndarray:
+        """What of light at some samples arrives at the camera, (N, K)."""
+        source = self.source
+        return self.samples.scattered(points, source.members, source.scattered, source.places)
+
+    def _asked(self, points: np.ndarray | slice) -> LitPoints:
+        """Some samples, as an estimator is asked at them."""
+        samples = self.samples
+        x0, y0, x1, _ = self.camera.window
+        row, column = np.divmod(self.pixel[points], x1 - x0)
+        return LitPoints(
+            positions=samples.positions(points),
+            directions=samples.directions[samples.ray[points]],
+            jitter=None if isinstance(points, slice) else samples.jitter(points),
+            numbers=points,
+            group=self.source.group,
+            suns=samples.features,
+            lamps=samples.lamp_features,
+            depths=self._depths,
+            image=(column + x0 + 0.5, row + y0 + 0.5),
+        )
+
+    def deviation(self) -> np.ndarray:
+        """Standard deviation float32 (P,) of the error of what predicts, mean over all three channels."""
+        source, network = self.source, self.source.estimator.uncertainty
+        if network is None or self._sparse is None:
+            relative = np.array([row.relative * len(row.channels) / 3.0 for row in source.rows])
+            return np.einsum("k,kp->p", relative, self.radiance).astype(np.float32)
+        if self._told:
+            points, predicted = (np.concatenate(parts, axis=-1) for parts in zip(*self._told))
+            order = np.argsort(points)
+            points, predicted = points[order], predicted[:, order]
+            for start in range(0, len(points), POINTS_PER_TASK):
+                some = slice(start, start + POINTS_PER_TASK)
+                self._add_deviation(self._sparse, points[some], predicted[:, some])
+        light = source.mean(self.radiance) * (source.channels / 3.0)
+        return self._sparse.everywhere(light, network.typical)
+
+    def _add_deviation(self, sparse: SparseDeviation, points: np.ndarray, predicted: np.ndarray) -> None:
+        """Tell the error of what was predicted at some samples, (A, N, ...)."""
+        source, asked, weight = self.source, self._asked(points), self._weight(points)
+        told = source.estimator.radiance(source.estimator.deviation(predicted, asked), asked)
+        deviations = np.zeros(len(points))
+        for number, row in enumerate(source.rows):
+            deviations += weight[:, number] * told[row.quantity] * (len(row.channels) / 3.0)
+        sparse.add(self.pixel[points], deviations)
+
+    def pixels_per_voxel(self) -> np.ndarray:
+        """Width (P,) of the smallest voxels in pixels, where the light of each pixel is scattered; 0 if none is."""
+        return pixels_per_voxel(self, self.source.voxel)
+
+    def opacity(self) -> tuple[np.ndarray, Guide]:
+        """Opacity float32 (P,) of the members alone; its guide is the mean over it of the scattered light ahead."""
+        weight = self.samples.weight * self.share
+        opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
+        light = self.source.estimator.light_ahead(self._asked(slice(None)))
+        if light is None:
+            return opacity, distance_guide(self, opacity, self.source.voxel)
+        ahead = np.bincount(self.pixel, weight * light, len(opacity)) / np.maximum(opacity, np.float32(1e-30))
+        return opacity, Guide(ahead, ahead)
+
+    def scattered(self) -> np.ndarray | None:
+        """What of the light that each pixel takes it scatters, (K, P); None where that is the same in all of them."""
+        source = self.source
+        return scattered_shares(self, source.members, source.albedos, source.places) if source.varies else None
+
+    def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
+        """One light, or where colours differ that of each of them; mean: (K, P)."""
+        return list(self.source.combined(mean))

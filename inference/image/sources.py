@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Estimators of each group of volumes in each light, ready before tiles are rendered, and what their light becomes."""
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..marching.depth_samples import DepthSamples
+from ..marching.extended_lights import EquivalentDirections
+from ..marching.joined_lamps import PredictedLamp
+from ..network.albedos import Albedos
+from ..network.estimators import (
+    CorrectedEstimator,
+    EmissionEstimator,
+    EnvironmentEstimator,
+    Estimator,
+    LampEstimator,
+    Quantity,
+    SunEstimator,
+)
+from ..network.predictor import Bounds, VolumePredictor
+from ..network.prepared_predictors import LampLight
+from ..plan.plan import Channels, last_albedo
+from ..render_cache import ScatteringGroup
+from ..scene.camera import Camera
+from ..scene.description import Sun
+from ..scene.environment import Environment
+from ..transport.scattered_fluence import ScatteredFluence
+from .context import ChannelPass, PreparedScene, RenderContext
+from .lamp_pass import lamps_of_group
+from .predicted_error import MODELS, SCATTERED_EMISSION, environment_deviation
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of a source's light, and the colour channels in which it is the same.
+
+    once: whether the light scatters for the first time. albedo: float32 (V,), of the last scattering in each of the
+    volumes. scattered: the same times the light's strength. place: as for `DepthSamples.scattered`. relative: standard
+    deviation of its error over it, where no network tells it.
+    """
+
+    once: bool
+    channels: list[int]
+    albedo: np.ndarray
+    scattered: np.ndarray
+    place: int
+    relative: float
+
+    @property
+    def quantity(self) -> Quantity:
+        """As which an estimator tells it."""
+        return self.once, self.channels[0]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One group of volumes in one light, or one volume of it.
+
+    group: its number. members: numbers of the volumes. rows: of its light. varies: whether the albedo of any of the
+    volumes does, or they differ. voxel: shortest edge of the group's voxels. lights: how many suns and lamps share the
+    single scattering that tells where its light varies; 0 where that does not tell. adaptive: whether pixels that agree
+    with their neighbours interpolate it. needs_detail: whether its light varies along rays more than nodes of the depth
+    samples tell.
+    """
+
+    group: int
+    members: list[int]
+    estimator: Estimator
+    rows: list[Row]
+    varies: bool
+    voxel: float
+    lights: int = 0
+    adaptive: bool = True
+    needs_detail: bool = False
+
+    @cached_property
+    def albedos(self) -> np.ndarray:
+        """float32 (V, K), of the rows."""
+        return np.stack([row.albedo for row in self.rows], axis=1)
+
+    @cached_property
+    def scattered(self) -> np.ndarray:
+        """float32 (V, K), of the rows."""
+        return np.stack([row.scattered for row in self.rows], axis=1)
+
+    @property
+    def places(self) -> list[int]:
+        """Of the rows."""
+        return [row.place for row in self.rows]
+
+    @property
+    def tells_single(self) -> bool:
+        """Whether its estimator tells single scattering, too."""
+        return any(row.once for row in self.rows)
+
+    def corrected(self, factors: np.ndarray) -> "Source":
+        """The source with factors (3,) of its light in each colour channel."""
+        rows = [
+            replace(row, scattered=(row.scattered * factors[row.channels[0]]).astype(np.float32)) for row in self.rows
+        ]
+        return replace(self, estimator=CorrectedEstimator(self.estimator, factors), rows=rows)
+
+    @property
+    def channels(self) -> int:
+        """How many channels its rows stand for, each quantity counted by itself."""
+        return sum(len(row.channels) for row in self.rows)
+
+    def combined(self, rows: np.ndarray) -> Iterator[np.ndarray]:
+        """What has to be smooth (P,) of rows (K, P): one light, or where colours differ that of each of them."""
+        if not (self.varies or self.estimator.coloured):
+            yield self.mean(rows)
+            return
+        for channels in dict.fromkeys(tuple(row.channels) for row in self.rows):
+            alike = [number for number, row in enumerate(self.rows) if tuple(row.channels) == channels]
+            yield rows[alike].mean(axis=0)
+
+    def mean(self, rows: np.ndarray) -> np.ndarray:
+        """Mean (P,) over all channels of rows (K, P)."""
+        return sum(len(row.channels) / self.channels * values for row, values in zip(self.rows, rows))
+
+
+#: Lowest and highest (3,), in the cube's frame, of the points at which a predictor is asked.
+BoundsOf = Callable[[VolumePredictor], Bounds]
+
+
+@dataclass(frozen=True)
+class AskedGroup:
+    """A group of volumes whose light is asked for in some colour channels.
+
+    number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. bounds: of the points.
+    camera: on whose rays they are, or None. holds: whether large lookup lattices are kept. Methods raise Cancelled.
+    """
+
+    context: RenderContext
+    scene: PreparedScene
+    number: int
+    channels: Channels
+    places: Sequence[int]
+    bounds: BoundsOf
+    camera: Camera | None = None
+    holds: bool = True
+
+    @property
+    def group(self) -> ScatteringGroup:
+        """What its volumes are to networks."""
+        group = self.scene.groups[self.number]
+        assert group is not None
+        return group
+
+    @property
+    def sigma_t(self) -> float:
+        """Its extinction."""
+        return float(self.group.medium.sigma_t[self.channels.indices[0]])
+
+    def suns(self, numbers: Sequence[int]) -> Iterator[Source]:
+        """Of suns by number, the parts of a soft one together."""
+        context, scene, predictor = self.context, self.scene, self.group.predictor
+        for one in scene.plan.predicted_suns(numbers):
+            if not scene.plan.lights_group(one.sun, self.number):
+                continue
+            asked = self.sigma_t, one.sun, self.bounds(predictor), scene.occluders, context.tasks
+            estimator = SunEstimator(
+                sun=one.sun,
+                lights=one.parts,
+                shares=one.shares,
+                albedos=self._albedos(one.sun),
+                prepare=functools.partial(predictor.prepare, *asked),
+                turn=EquivalentDirections(self.camera, one.sun, self.group.medium.anisotropy, context.cancel),
+                uncertainty=scene.uncertainty_network,
+                holds=self.holds,
+            )
+            if self.holds:
+                with context.progress.stage("lattices", 1):
+                    context.report.count("cells of lookup fields", estimator.predictor.lattice_cells)
+            context.cancel.check()
+            yield self._source(estimator, self._model_error, lights=self._lights)
+
+    def lamps(self) -> Iterator[Source]:
+        """Of all lamps, those that are predicted as one together."""
+        context, scene, predictor = self.context, self.scene, self.group.predictor
+        clusters = scene.plan.lamp_clusters[self.number]
+        for cluster, lamp in zip(clusters, lamps_of_group(scene, self.number)):
+            if not scene.plan.lights_group(scene.plan.lamps[cluster[0]], self.number):
+                continue
+            with context.progress.stage("lattices", 1):
+                albedos = self._albedos(lamp)
+                light, bounds = LampLight(lamp, scene.lamp_radius, albedos.values), self.bounds(predictor)
+                prepared = predictor.prepare_lamp(self.sigma_t, light, bounds, scene.occluders, context.tasks)
+            context.report.count("cells of lookup fields", prepared.lattice_cells)
+            context.cancel.check()
+            estimator = LampEstimator(lamp, cluster, albedos, prepared, scene.uncertainty_network)
+            yield self._source(estimator, self._model_error, lights=self._lights, needs_detail=prepared.alone)
+
+    def environments(self, environments: Sequence[Environment]) -> Source:
+        """Of environments together."""
+        context, scene, indices = self.context, self.scene, self.channels.indices
+        context.progress.message(f"light from everywhere in {scene.plan.group_name(self.number)}")
+        assert scene.environment_network is not None
+        # The light of surfaces begins at them: what they hide neither dims nor scatters it.
+        opened = scene.opened(self.number)
+        assert opened is not None
+        with context.progress.stage("lattices", 1):
+            predictor = opened.predictor.prepare_environment(
+                scene.environment_network, environments, self.sigma_t, self.bounds(opened.predictor), context.tasks
+            )
+        context.cancel.check()
+        albedos = opened.predictor.albedos(
+            self.group.medium,
+            self.sigma_t,
+            indices,
+            environments,
+            tasks=context.tasks,
+            optimizations=scene.plan.optimizations,
+        )
+        return self._source(EnvironmentEstimator(indices, albedos, predictor), environment_deviation)
+
+    @property
+    def _lights(self) -> int:
+        return len(self.scene.plan.suns) + len(self.scene.plan.lamps)
+
+    def _model_error(self, albedo: float) -> float:
+        return MODELS.get(self.context.settings.model, 0.0)
+
+    def _source(
+        self, estimator: Estimator, relative: Callable[[float], float], lights: int = 0, needs_detail: bool = False
+    ) -> Source:
+        """relative: standard deviation of the error over the light, of an albedo."""
+        members = self.scene.plan.groups[self.number]
+        return Source(
+            group=self.number,
+            members=members,
+            estimator=estimator,
+            rows=rows_of(self.scene, members, estimator, self.places, relative),
+            varies=self.group.volume.scattering is not None,
+            voxel=min(self.scene.grids[v].voxel for v in members),
+            lights=lights,
+            needs_detail=needs_detail,
+        )
+
+    def _albedos(self, light: Sun | PredictedLamp) -> Albedos:
+        scene, context = self.scene, self.context
+        asked = self.group.medium, self.sigma_t, self.channels.indices, light
+        return self.group.predictor.albedos(*asked, scene.occluders, context.tasks, scene.plan.optimizations)
+
+
+def rows_of(
+    scene: PreparedScene,
+    members: Sequence[int],
+    estimator: Estimator,
+    places: Sequence[int],
+    relative: Callable[[float], float],
+) -> list[Row]:
+    """What an estimator tells of some volumes, once for channels that scatter the same light.
+
+    places: of each of the three channels. relative: as for `AskedGroup`.
+    """
+    last = np.array([last_albedo(*scene.plan.volumes[v]) for v in members])
+    scattered = (last * estimator.strength).astype(np.float32)
+    alike: dict[tuple, list[int]] = {}
+    for once, channels in estimator.quantities:
+        for c in channels:
+            alike.setdefault((once, channels[0], places[c], scattered[:, c].tobytes()), []).append(c)
+    return [
+        Row(
+            once=once,
+            channels=channels,
+            albedo=last[:, channels[0]].astype(np.float32),
+            scattered=scattered[:, channels[0]],
+            place=place,
+            relative=float(relative(float(last[:, channels[0]].mean()))),
+        )
+        for (once, _, place, _), channels in alike.items()
+    ]
+
+
+def solve_transport(
+    context: RenderContext,
+    scene: PreparedScene,
+    channels: Channels,
+    suns: Sequence[int],
+    groups: Sequence[int] | None = None,
+) -> list[ScatteredFluence | None] | None:
+    """Scattered fluence of each group in which multiple scattering is predicted, or of some groups, of some suns.
+
+    None for networks that need no ray features, without suns and without multiple scattering. Raises Cancelled.
+    """
+    network = scene.network
+    wanted = context.settings.multiple and scene.plan.suns
+    if network is None or not network.needs_ray_features or not wanted:
+        return None
+    joined = scene.plan.predicted_suns(suns)
+    of_part = {part: number for number, one in enumerate(joined) for part in one.parts}
+    found: list[ScatteredFluence | None] = [None] * len(scene.groups)
+    with context.report.stage("fields"):
+        for g, group in scene.predicted(channels):
+            if groups is not None and g not in groups:
+                continue
+            sigma_t = float(group.medium.sigma_t[channels.indices[0]])
+            with context.progress.stage("transport", len(joined)):
+                fluence = group.predictor.fluence(sigma_t, [one.sun for one in joined], scene.occluders, context.tasks)
+            found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(suns))])
+    return found
+
+
+def prepare_sources(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
+) -> list[Source]:
+    """What tells the light of every group in every light of a pass. Raises Cancelled.
+
+    view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
+    any view.
+    """
+    plan, indices = scene.plan, channel_pass.channels.indices
+    places = [channel_pass.scattering_place(c) if c in indices else 0 for c in range(3)]
+    sources = prepare_emission(context, scene, channel_pass, places) if channel_pass.first else []
+    groups = [
+        AskedGroup(
+            context=context,
+            scene=scene,
+            number=g,
+            channels=channel_pass.channels,
+            places=places,
+            bounds=functools.partial(lattice_bounds, context, plan.groups[g], view=view),
+            camera=scene.camera,
+        )
+        for g, _ in scene.predicted(channel_pass.channels)
+    ]
+    with context.report.stage("fields"):
+        for group in groups if context.settings.multiple else ():
+            sources += group.suns(channel_pass.suns)
+            if channel_pass.lamps and plan.predicts_lamps:
+                sources += group.lamps()
+        if scene.environment_network is not None and channel_pass.first:
+            sources += [group.environments(plan.environments) for group in groups]
+    return sources
+
+
+def prepare_emission(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, places: Sequence[int]
+) -> list[Source]:
+    """What tells the light that volumes emit and scatter. Raises Cancelled."""
+    plan, sources = scene.plan, []
+    for g, members in enumerate(plan.groups):
+        if not plan.scattered_emission[g]:
+            continue
+        with context.report.stage("emission"):
+            emission = context.cache.scattered_emission(
+                plan.members(g), [scene.grids[v] for v in members], g, context.cancel
+            )
+        context.report.warn(emission.warnings(plan.group_name(g)))
+        for v in members:
+            volume, medium = plan.volumes[v]
+            estimator = EmissionEstimator(channel_pass.channels.indices, emission, medium.anisotropy)
+            source = Source(
+                group=g,
+                members=[v],
+                estimator=estimator,
+                rows=rows_of(scene, [v], estimator, places, lambda albedo: SCATTERED_EMISSION),
+                varies=volume.scattering is not None,
+                voxel=scene.grids[v].voxel,
+                adaptive=False,
+            )
+            sources.append(source)
+    return sources
+
+
+def lattice_bounds(
+    context: RenderContext, members: list[int], predictor: VolumePredictor, view: Sequence[DepthSamples]
+) -> Bounds:
+    """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
+    if "unread_fields" not in context.settings.leave_out:
+        return np.full(3, -0.5), np.full(3, 0.5)
+    inside = [(samples, np.flatnonzero(samples.share(members))) for samples in view]
+    bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
+    if not bounds:
+        return predictor.extent()
+    return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)

@@ -1,0 +1,406 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What tells the light that one group of volumes scatters, of one light in some colour channels.
+
+Images, baked light and single points ask the same estimators. Each is prepared once, from a light and its coarse
+transport, and then asked at points.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from ..marching.extended_lights import EquivalentDirections
+from ..marching.joined_lamps import PredictedLamp
+from ..marching.ray_features import RayFeatures
+from ..scene.description import Sun
+from ..transport.scattered_emission import ScatteredEmission
+from .albedos import Albedos
+from .prepared_predictors import EnvironmentPredictor, PreparedLampPredictor, PreparedPredictor
+from .ray_points import RayPoints
+from .uncertainty import UncertaintyNetwork
+
+#: A quantity that is told of points: whether light has scattered there for the first time, and a colour channel.
+Quantity = tuple[bool, int]
+
+
+@dataclass(frozen=True)
+class LitPoints:
+    """N points of rays at which light is asked for, and what was gathered along these.
+
+    positions, directions: float64 (N, 3), in the world; unit vectors along the rays. jitter: as in RayPoints. numbers:
+    int (N,) or a slice, of the points in the arrays that follow; None for all of them. group: of the volumes, by number
+    in `suns` and `lamps`: RayFeatures in the light of each sun and each lamp that rays were marched for; None where
+    none was gathered. depths: float32 (M, 2), optical depths ahead of the points and behind them, or None. image: where
+    rays of a camera are in its image, (N,) each from the left and from above, in pixels; None for other rays.
+    """
+
+    positions: np.ndarray
+    directions: np.ndarray
+    jitter: np.ndarray | None = None
+    numbers: np.ndarray | slice | None = None
+    group: int = 0
+    suns: RayFeatures | None = None
+    lamps: RayFeatures | None = None
+    depths: np.ndarray | None = None
+    image: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def places(self) -> np.ndarray | slice:
+        """As `numbers`, a slice for all of them."""
+        return slice(None) if self.numbers is None else self.numbers
+
+    def span(self, span: slice) -> "LitPoints":
+        """Some of the points, of those that have no jitter and are numbered one after another."""
+        assert self.numbers is None and self.jitter is None
+        return replace(self, positions=self.positions[span], directions=self.directions[span], numbers=span)
+
+
+class Estimator(Protocol):
+    """Tells the light of one light. Immutable and safe on several threads.
+
+    What it tells does not depend on other points that it is asked at.
+    """
+
+    @property
+    def strength(self) -> np.ndarray:
+        """(3,), what its light is to be multiplied with in each colour channel."""
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """What it tells, as of Quantity, with the channels in which it tells the same."""
+
+    @property
+    def answers(self) -> int:
+        """How many predictions it makes at a point, for the report."""
+
+    @property
+    def coloured(self) -> bool:
+        """Whether colours come from different directions."""
+
+    @property
+    def needs_depths(self) -> bool:
+        """Whether it reads optical depths on the ray."""
+
+    @property
+    def uncertainty(self) -> UncertaintyNetwork | None:
+        """What tells the error from point to point, or None."""
+
+    def ready(self) -> "Estimator":
+        """The same, to be asked on several threads, with all that it reads. Raises Cancelled."""
+
+    def predict(self, points: LitPoints) -> np.ndarray:
+        """What is predicted at points, (A, N, ...), for `radiance` and `deviation`."""
+
+    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
+        """Radiance (N,) that an albedo of 1 scatters towards the camera, for a strength of 1."""
+
+    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
+        """Standard deviation of the error of what was predicted, of its shape; only where `uncertainty` tells it."""
+
+    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
+        """Light (N,) that has scattered and arrives from ahead on the ray, as far as it is known."""
+
+
+@dataclass(frozen=True)
+class SunEstimator:
+    """Of a sun that may have parts; an `Estimator`.
+
+    lights: numbers of its parts among the suns that rays are marched for. shares: float32 (n,), of the light of each.
+    prepare: makes the predictor. holds: whether it is kept; those with large lookup lattices are made anew each time.
+    turn: in which directions it sees rays.
+    """
+
+    sun: Sun
+    lights: Sequence[int]
+    shares: np.ndarray
+    albedos: Albedos
+    prepare: Callable[[], PreparedPredictor]
+    turn: EquivalentDirections
+    uncertainty: UncertaintyNetwork | None = None
+    holds: bool = True
+    coloured = needs_depths = False
+
+    @cached_property
+    def predictor(self) -> PreparedPredictor:
+        """What predicts for an irradiance of 1."""
+        return self.prepare()
+
+    def ready(self) -> "SunEstimator":
+        """As of Estimator."""
+        found = self if self.holds else replace(self, holds=True)
+        assert found.predictor is not None
+        return found
+
+    @property
+    def strength(self) -> np.ndarray:
+        """Its irradiance."""
+        return self.sun.irradiance
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """Multiple scattering."""
+        return [(False, channels) for channels in self.albedos.channels]
+
+    @property
+    def answers(self) -> int:
+        """One for each albedo."""
+        return len(self.albedos.values)
+
+    def predict(self, points: LitPoints) -> np.ndarray:
+        """Radiance float32 (A, N) of each albedo."""
+        return self.predictor.predict(self._asked(points), self.albedos.values)
+
+    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
+        """As of Estimator."""
+        rows = self.albedos.by_channel(predicted, points.positions, self.turn(points.directions, points.image))
+        return {(False, c): row for c, row in rows}
+
+    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
+        """As of Estimator."""
+        return _deviation(self.predictor, self, self._asked(points), predicted)
+
+    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
+        """As of Estimator."""
+        features = self._features(points)
+        return None if features is None else features[:, -1]
+
+    def _asked(self, points: LitPoints) -> RayPoints:
+        directions = self.turn(points.directions, points.image)
+        return RayPoints(points.positions, directions, points.jitter, self._features(points))
+
+    def _features(self, points: LitPoints) -> np.ndarray | None:
+        if points.suns is None:
+            return None
+        return points.suns.mean(points.places, points.group, self.lights, self.shares)
+
+
+@dataclass(frozen=True)
+class LampEstimator:
+    """Of a lamp, or of several that are predicted as one; an `Estimator`.
+
+    lights: their numbers among the lamps that rays are marched for.
+    """
+
+    lamp: PredictedLamp
+    lights: Sequence[int]
+    albedos: Albedos
+    predictor: PreparedLampPredictor
+    uncertainty: UncertaintyNetwork | None = None
+    coloured = needs_depths = False
+
+    @property
+    def strength(self) -> np.ndarray:
+        """Its power."""
+        return self.lamp.power
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """Multiple scattering."""
+        return [(False, channels) for channels in self.albedos.channels]
+
+    @property
+    def answers(self) -> int:
+        """One for each albedo."""
+        return len(self.albedos.values)
+
+    def ready(self) -> "LampEstimator":
+        """As of Estimator."""
+        return self
+
+    def predict(self, points: LitPoints) -> np.ndarray:
+        """Radiance float32 (A, N) of each albedo."""
+        return self.predictor.predict(self._asked(points), self.albedos.values)
+
+    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
+        """As of Estimator."""
+        rows = self.albedos.by_channel(predicted, points.positions, points.directions)
+        return {(False, c): row for c, row in rows}
+
+    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
+        """As of Estimator."""
+        return _deviation(self.predictor, self, self._asked(points), predicted)
+
+    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
+        """As of Estimator."""
+        return self._features(points)[:, -1]
+
+    def _asked(self, points: LitPoints) -> RayPoints:
+        return RayPoints(points.positions, points.directions, points.jitter, self._features(points))
+
+    def _features(self, points: LitPoints) -> np.ndarray:
+        assert points.lamps is not None
+        shares = self.lamp.shares(points.positions) if len(self.lights) > 1 else np.ones(1)
+        return points.lamps.mean(points.places, points.group, self.lights, shares)
+
+
+def _deviation(
+    predictor: PreparedPredictor | PreparedLampPredictor,
+    estimator: SunEstimator | LampEstimator,
+    points: RayPoints,
+    predicted: np.ndarray,
+) -> np.ndarray:
+    assert estimator.uncertainty is not None
+    # Several channels may have one albedo.
+    albedos = estimator.albedos.values
+    different = dict(zip(albedos, predicted))
+    found = predictor.deviation(estimator.uncertainty, points, different)
+    relative: np.ndarray = found[[list(different).index(albedo) for albedo in albedos]]
+    return relative * predicted
+
+
+@dataclass(frozen=True)
+class EnvironmentEstimator:
+    """Of environments together; an `Estimator`. channels: that are rendered together."""
+
+    channels: Sequence[int]
+    albedos: Albedos
+    predictor: EnvironmentPredictor
+    uncertainty: UncertaintyNetwork | None = None
+    needs_depths = True
+
+    @property
+    def strength(self) -> np.ndarray:
+        """1: its colours are predicted."""
+        return np.ones(3)
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """Single and multiple scattering."""
+        return [(once, [c]) for once in (True, False) for c in self.channels]
+
+    @property
+    def coloured(self) -> bool:
+        """As of Estimator."""
+        return self.predictor.channels > 1
+
+    @property
+    def answers(self) -> int:
+        """One for each albedo."""
+        return len(self.albedos.values)
+
+    def ready(self) -> "EnvironmentEstimator":
+        """As of Estimator."""
+        return self
+
+    def predict(self, points: LitPoints) -> np.ndarray:
+        """Radiance float32 (1 + A, N, C): single scattering, then multiple scattering of each albedo."""
+        assert points.depths is not None
+        asked = RayPoints(points.positions, points.directions, points.jitter)
+        return self.predictor.predict(asked, points.depths[points.places], self.albedos.values)
+
+    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
+        """As of Estimator."""
+        found = {}
+        for c, row in self.albedos.by_channel(predicted[1:], points.positions, points.directions):
+            colour = c if self.coloured else 0
+            found[True, c], found[False, c] = predicted[0, :, colour], row[:, colour]
+        return found
+
+    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
+        """Not told from point to point."""
+        raise NotImplementedError
+
+    def light_ahead(self, points: LitPoints) -> None:
+        """Not known."""
+
+
+@dataclass(frozen=True)
+class CorrectedEstimator:
+    """Another one with a factor of its light in each colour channel; an `Estimator`. factors: (3,)."""
+
+    inner: Estimator
+    factors: np.ndarray
+
+    @property
+    def strength(self) -> np.ndarray:
+        """(3,), corrected."""
+        return self.inner.strength * self.factors
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """As the other."""
+        return self.inner.quantities
+
+    @property
+    def answers(self) -> int:
+        """As the other."""
+        return self.inner.answers
+
+    def ready(self) -> "CorrectedEstimator":
+        """As of Estimator."""
+        return replace(self, inner=self.inner.ready())
+
+    @property
+    def coloured(self) -> bool:
+        """As the other."""
+        return self.inner.coloured
+
+    @property
+    def needs_depths(self) -> bool:
+        """As the other."""
+        return self.inner.needs_depths
+
+    @property
+    def uncertainty(self) -> UncertaintyNetwork | None:
+        """As the other."""
+        return self.inner.uncertainty
+
+    def predict(self, points: LitPoints) -> np.ndarray:
+        """As the other."""
+        return self.inner.predict(points)
+
+    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
+        """As the other: the strength is what differs."""
+        return self.inner.radiance(predicted, points)
+
+    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
+        """As the other."""
+        return self.inner.deviation(predicted, points)
+
+    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
+        """As the other."""
+        return self.inner.light_ahead(points)
+
+
+@dataclass(frozen=True)
+class EmissionEstimator:
+    """Of the light that volumes emit, as one of them scatters it; an `Estimator`. channels: rendered together."""
+
+    channels: Sequence[int]
+    emission: ScatteredEmission
+    anisotropy: float
+    uncertainty: UncertaintyNetwork | None = None
+    coloured, needs_depths, answers = True, False, 0
+
+    @property
+    def strength(self) -> np.ndarray:
+        """1: its colours are known."""
+        return np.ones(3)
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """What has scattered, however often."""
+        return [(False, [c]) for c in self.channels]
+
+    def ready(self) -> "EmissionEstimator":
+        """As of Estimator."""
+        return self
+
+    def predict(self, points: LitPoints) -> np.ndarray:
+        """Radiance (C, N)."""
+        each = [self.emission.scattered(c, points.positions, points.directions, self.anisotropy) for c in self.channels]
+        return np.stack(each)
+
+    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
+        """As of Estimator."""
+        return {(False, c): row for c, row in zip(self.channels, predicted)}
+
+    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
+        """Not told from point to point."""
+        raise NotImplementedError
+
+    def light_ahead(self, points: LitPoints) -> None:
+        """Not known."""
