@@ -16,6 +16,7 @@ from inference.grids.working_cube import Cube, level0_density
 from inference.marching.lamp_in_media import COARSE as LAMP_EMITTERS
 from inference.marching.lamp_in_media import lamp_key
 from inference.runtime.cancellation import NEVER
+from inference.transport.cell_sources import LampBeam, SunBeam
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from inference.transport.environment_light import ordinate_radiance
 from inference.transport.lamp_beam import LampInCube
@@ -85,7 +86,7 @@ class _Ordinates(DiscreteOrdinates):
     def emitted(self, emission: np.ndarray) -> np.ndarray:
         """Fluence and flux, float32 (4, x, y, z), of unscattered emitted light; emission: (x, y, z), per cube edge."""
         # On cells twice as large: many directions matter more.
-        extinction, given = (self._means(np.ascontiguousarray(values)) for values in (self.extinction, emission))
+        extinction, given = (self.means(np.ascontiguousarray(values)) for values in (self.extinction, emission))
         terms = extinction.astype(np.float64), given.astype(np.float64)
         fluence, flux = sweep_radiance(*terms, 1.0 / len(given), FACE)
         return np.stack([self._finer(values.astype(np.float32)) for values in (fluence, *flux)])
@@ -126,11 +127,11 @@ class Transport:
         )
         out = np.zeros((8, *self.cells.coarse.shape), np.float32)
         if light < len(lights.suns):
-            out[:4] = solver.light(lights.suns[light])
+            out[:4] = solver.solve(SunBeam(lights.suns[light]))
             return out
         light -= len(lights.suns)
         if light < len(lights.lamps):
-            out[:4] = solver.lamp(self._lamp(light))
+            out[:4] = solver.solve(LampBeam(self._lamp(light)))
             return out
         light -= len(lights.lamps)
         if light < len(lights.environments):

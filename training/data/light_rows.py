@@ -7,10 +7,6 @@ import numpy as np
 
 from inference import Medium, SpotLight, Sun, predict_multiple
 from inference.grids.grid import Grid
-from inference.network.environment_network import load_environment_network
-from inference.network.network import load_network
-from inference.network.predictor import VolumePredictor
-from inference.network.ray_points import RayPoints
 from inference.plan.precision import in_range
 from inference.scene.description import Volume
 from inference.scene.environment import Environment
@@ -19,7 +15,6 @@ from inference.transport.scattered_emission import ScatteredEmission
 from training.data.light_fields import Cells, Transport
 from training.data.light_scene import LAMPS, LightScene, draw_light_points, light_scene
 from training.tracer.density_grid import prepare
-from training.tracer.exits import optical_depths
 from training.tracer.light_paths import LitMedium, Paths, PathScene
 
 #: Kinds of light that are compared.
@@ -143,35 +138,17 @@ class Today:
     def __call__(self, light: int, positions: np.ndarray, omega: np.ndarray) -> np.ndarray:
         """Of a light by its number, at points: float32 (P, 3), scattered at least twice, of emission at least once."""
         lights = self.scene.lights
-        beams = [*(Sun(sun, np.ones(3)) for sun in lights.suns), *lights.lamps]
-        positions, omega = np.asarray(positions, np.float64), np.asarray(omega, np.float64)
-        if light < len(beams):
-            return predict_multiple(self.volume, self.medium, beams[light], positions, omega)
-        light -= len(beams)
-        if light < len(lights.environments):
-            return self._environment(lights.environments[light], positions, omega)
-        emission = lights.emission[..., light - len(lights.environments), None].repeat(3, axis=3)
+        skies = [Environment(image[..., None].repeat(3, axis=2)) for image in lights.environments]
+        known = [*(Sun(sun, np.ones(3)) for sun in lights.suns), *lights.lamps, *skies]
+        if light < len(known):
+            return predict_multiple(self.volume, self.medium, known[light], positions, omega)
+        emission = lights.emission[..., light - len(known), None].repeat(3, axis=3)
         glowing, medium = in_range(
             Volume(self.volume.density, self.volume.world_from_index, emission=emission), self.medium
         )
         scattered = ScatteredEmission([Grid(glowing)], [medium])
         light = [scattered.scattered(c, positions, omega, medium.anisotropy) for c in range(3)]
         return np.stack(light, axis=1).astype(np.float32)
-
-    def _environment(self, image: np.ndarray, positions: np.ndarray, omega: np.ndarray) -> np.ndarray:
-        volume, medium = in_range(self.volume, self.medium)
-        sigma, grid = float(medium.sigma_t[0]), prepare(self.scene.density)
-        predictor = VolumePredictor(load_network("mrpnn"), volume, medium.anisotropy)
-        sky = Environment(image[..., None].repeat(3, axis=2))
-        network = load_environment_network("mrpnn")
-        prepared = predictor.prepare_environment(network, [sky], sigma, predictor.extent())
-        albedos = predictor.albedos(medium, sigma, [0, 1, 2], [sky])
-        along = np.stack([optical_depths(grid, positions, way) * sigma for way in (omega, -omega)], axis=1)
-        values = prepared.predict(RayPoints(positions, omega), along, albedos.values)[1:]
-        light = np.zeros((len(positions), 3), np.float32)
-        for c, row in albedos.by_channel(values, positions, omega):
-            light[:, c] = row[:, 0]
-        return light
 
 
 def predict_today(seed: int, points: int, jobs) -> list[np.ndarray]:
