@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.locks import locked
 from tests.support.paths import SHARED
 from tests.support.window import SCENE, SUITES, Window
 
@@ -157,11 +158,17 @@ def shared_volumes():
 
 
 @pytest.fixture(scope="session")
-def zips():
-    """The built zips, one for each platform."""
+def zips(tmp_path_factory, worker_id):
+    """The built zips, one for each platform; one of the processes of a run builds them for all."""
     import build_extension
 
-    return build_extension.build()
+    # Of this process, in a folder of all of the run where there are several.
+    folder = tmp_path_factory.getbasetemp()
+    built = (folder if worker_id == "master" else folder.parent) / "zips.txt"
+    with locked(built.with_suffix(".lock")):
+        if not built.exists():
+            built.write_text("\n".join(map(str, build_extension.build())))
+    return [Path(line) for line in built.read_text().splitlines()]
 
 
 @pytest.fixture(scope="session")
