@@ -148,8 +148,9 @@ class Window:
         while not answer.exists():
             process = Path("/proc", (self.run / "blender.pid").read_text().strip())
             assert process.exists(), f"Blender has ended: {self.console[-2000:]}"
-            assert time.monotonic() - start < LONG, "Blender does not answer"
-            time.sleep(0.01)
+            waited = time.monotonic() - start
+            assert waited < LONG, "Blender does not answer"
+            time.sleep(0.02 if waited < 1.0 else 0.1)
         return answer.read_text().strip()
 
     def mouse(self, *arguments):
