@@ -66,6 +66,7 @@ def until_shown(window, expected, places=None):
     start = time.monotonic()
     while shown(window, places) != expected:
         assert time.monotonic() - start < LONG, (expected, shown(window, places))
+        time.sleep(0.3)
     window.until(f"not {THREADS}")
     assert shown(window, places) == expected
 
