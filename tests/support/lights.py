@@ -8,6 +8,7 @@ from inference.scene import (
     Camera,
     Cancelled,
     Environment,
+    Light,
     Medium,
     PointLight,
     SceneError,
@@ -19,7 +20,7 @@ from inference.scene import (
     Volume,
 )
 
-NO_LIGHTS = {Camera, Cancelled, Medium, SceneError, Settings, SparseGrid, Surface, Volume}
+NO_LIGHTS = {Camera, Cancelled, Light, Medium, SceneError, Settings, SparseGrid, Surface, Volume}
 
 
 def one_of_each():
