@@ -82,6 +82,7 @@ def test_emission_at_voxel_centres_is_what_points_scatter():
     np.testing.assert_allclose(dense[filled], expected, rtol=2e-3, atol=1e-4 * expected.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma_t, anisotropy", [(5.0, 0.0), (40.0, 0.85)])
 def test_baked_light_shows_the_layers_multiple_scattering(sigma_t, anisotropy):
     volume, medium, view = cloud(voxels=48), Medium(sigma_t, 0.95, anisotropy), camera(resolution=(48, 32))
@@ -91,6 +92,7 @@ def test_baked_light_shows_the_layers_multiple_scattering(sigma_t, anisotropy):
     assert seen_through(volume, medium, lit, view).mean() == pytest.approx(layer.multiple.mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_nothing_shines_where_there_is_no_density():
     volume = cloud()
     [lit] = bake([(volume, MEDIUM)], [SUN], camera())
