@@ -52,9 +52,9 @@ def solve(
     of the residual, relative to the first. iterations: at most. Returns float64 (x, y,
     z). Raises Cancelled.
     """
-    diagonal, couplings = equation
+    diagonal, couplings = (np.ascontiguousarray(array) for array in equation)
     x = np.zeros(source.shape)
-    residual = source.astype(np.float64)
+    residual = np.array(source, np.float64, order="C")
     p = residual / diagonal
     # BLAS would wake its threads for a dot product, which then spin (`numerics.small_matmul`).
     rz = float((residual * p).sum())
