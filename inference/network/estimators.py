@@ -104,8 +104,24 @@ class Estimator(Protocol):
         """Light (N,) that has scattered and arrives from ahead on the ray, as far as it is known."""
 
 
+class _MultipleScattering:
+    """What estimators have in common whose network predicts multiple scattering of several albedos."""
+
+    albedos: Albedos
+
+    @property
+    def quantities(self) -> list[tuple[bool, list[int]]]:
+        """Multiple scattering."""
+        return [(False, channels) for channels in self.albedos.channels]
+
+    @property
+    def answers(self) -> int:
+        """One for each albedo."""
+        return len(self.albedos.values)
+
+
 @dataclass(frozen=True)
-class SunEstimator:
+class SunEstimator(_MultipleScattering):
     """Of a sun that may have parts; an `Estimator`.
 
     lights: numbers of its parts among the suns that rays are marched for. shares: float32 (n,), of the light of each.
@@ -139,16 +155,6 @@ class SunEstimator:
         """Its irradiance."""
         return self.sun.irradiance
 
-    @property
-    def quantities(self) -> list[tuple[bool, list[int]]]:
-        """Multiple scattering."""
-        return [(False, channels) for channels in self.albedos.channels]
-
-    @property
-    def answers(self) -> int:
-        """One for each albedo."""
-        return len(self.albedos.values)
-
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance float32 (A, N) of each albedo."""
         return self.predictor.predict(self._asked(points), self.albedos.values)
@@ -178,7 +184,7 @@ class SunEstimator:
 
 
 @dataclass(frozen=True)
-class LampEstimator:
+class LampEstimator(_MultipleScattering):
     """Of a lamp, or of several that are predicted as one; an `Estimator`.
 
     lights: their numbers among the lamps that rays are marched for.
@@ -195,16 +201,6 @@ class LampEstimator:
     def strength(self) -> np.ndarray:
         """Its power."""
         return self.lamp.power
-
-    @property
-    def quantities(self) -> list[tuple[bool, list[int]]]:
-        """Multiple scattering."""
-        return [(False, channels) for channels in self.albedos.channels]
-
-    @property
-    def answers(self) -> int:
-        """One for each albedo."""
-        return len(self.albedos.values)
 
     def ready(self) -> "LampEstimator":
         """As of Estimator."""
