@@ -300,7 +300,8 @@ def _order(request: Request) -> Callable[[tuple[Job, Pass]], tuple]:
 
 def _interval(estimate: Estimate, form: str, scale: float = 1.0) -> str:
     low, high = (form.format(scale * edge) for edge in (estimate.low, estimate.high))
-    return f"95 % between {low} and {high}"
+    # Noise hides how small it is.
+    return f"95 % below {high}" if low == "0.000" else f"95 % between {low} and {high}"
 
 
 def _size(image: np.ndarray) -> str:
