@@ -150,6 +150,7 @@ def test_light_of_an_environment_and_a_sun_adds_up():
     np.testing.assert_allclose(both.emission, one.emission + two.emission, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [SUN, sky()], ids=["sun", "environment"])
 def test_light_that_ground_throws_back_is_baked_with_what_scatters_once(light):
     volume, medium, view = cloud(voxels=48), Medium(20.0, 0.95, 0.6), camera(resolution=(48, 32))
@@ -167,6 +168,7 @@ def test_light_that_ground_throws_back_is_baked_with_what_scatters_once(light):
     assert relative(added, expected) < 0.05
 
 
+@pytest.mark.slow
 def test_an_environment_that_surfaces_shadow_unevenly_is_baked_as_parallel_light():
     corners = np.array([[-9.0, -9.0, -0.1], [0.1, -9.0, -0.1], [0.1, 9.0, -0.1], [-9.0, 9.0, -0.1]])
     half = Surface(corners[[[0, 1, 2], [0, 2, 3]]])
@@ -212,6 +214,7 @@ def test_overlapping_volumes_share_the_light():
     assert relative(first.emission + second.emission, merged.emission) < 0.02
 
 
+@pytest.mark.slow
 def test_volumes_without_light_are_dark_in_their_place():
     clear = Volume(cloud().density, cloud().world_from_index, "clear")
     black = Volume(cloud().density, cloud().world_from_index + np.diag([0, 0, 0, 0]), "black")
@@ -287,6 +290,7 @@ def test_joined_voxels_stay_within_their_budget():
     assert relative(a, b) <= OPTIMIZATIONS["small_voxels"].budget
 
 
+@pytest.mark.slow
 def test_the_factor_of_other_directions_is_one_along_the_baked_view():
     volume, view = cloud(voxels=16), camera()
     [lit] = bake([(volume, MEDIUM)], [SUN], view)
@@ -301,6 +305,7 @@ def test_the_factor_of_other_directions_is_one_along_the_baked_view():
     np.testing.assert_allclose(lit.directional(positions, beside, baked), 1.0, atol=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anisotropy, error", [(0.0, 0.08), (0.85, 0.3)])
 def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, error):
     volume, medium = cloud(), Medium(20.0, 1.0, anisotropy)
@@ -314,6 +319,7 @@ def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, er
     assert relative(found, truth) < relative(lit.emission.reshape(-1, 3), truth)
 
 
+@pytest.mark.slow
 def test_each_colour_of_a_coloured_volume_has_its_own_directions():
     volume, medium = cloud(voxels=16), Medium(40.0, (0.6, 0.9, 1.0), 0.85)
     [lit] = bake([(volume, medium)], [SUN], looking((0.0, 0.0, -1.0)), replace(EXACT, directional=True))
@@ -328,6 +334,7 @@ def test_each_colour_of_a_coloured_volume_has_its_own_directions():
     assert np.abs(ratios - expected).mean() < 0.7 * np.abs(unturned - expected).mean()
 
 
+@pytest.mark.slow
 def test_light_along_the_anchors_about_the_baked_view_is_what_is_predicted_there():
     volume, medium = cloud(voxels=16), Medium(20.0, 1.0, 0.85)
     view = looking((0.0, 0.0, -1.0))
@@ -377,6 +384,7 @@ def test_a_light_with_an_extent_is_the_mean_of_its_parts():
     assert lit.emission.mean() == pytest.approx(parts.emission.mean(), rel=0.1)
 
 
+@pytest.mark.slow
 def test_progress_rises_to_one_and_a_cache_changes_nothing():
     told, cache = [], RenderCache()
     scene = [(cloud(), MEDIUM)], [SUN], camera()
