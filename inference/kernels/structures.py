@@ -45,7 +45,8 @@ class Shared(ctypes.Structure):
             return value
         self.kept.append(value)
         if isinstance(value, np.ndarray):
-            assert value.flags.c_contiguous
+            if not value.flags.c_contiguous:
+                raise ValueError("a kernel reads arrays in the order of C")
             return value.ctypes.data
         return ctypes.addressof(value)
 

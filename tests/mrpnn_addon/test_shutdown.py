@@ -47,17 +47,28 @@ def working(addon, scene, tmp_path):
         thread.stop()
 
 
+@pytest.fixture
+def unregistered(addon):
+    """unregistered(): the extension is unregistered, until the test ends, whatever happens in it."""
+    names = []
+
+    def unregister():
+        addon.unregister()
+        names.append("unregistered")
+
+    yield unregister
+    if names:
+        addon.register()
+
+
 def test_loading_a_file_ends_all_threads(working):
     bpy.ops.wm.read_homefile(use_empty=True)
     assert not any(thread.is_alive() for thread in working)
 
 
-def test_unregistering_ends_all_threads(addon, working):
-    addon.unregister()
-    try:
-        assert not any(thread.is_alive() for thread in working)
-    finally:
-        addon.register()
+def test_unregistering_ends_all_threads(unregistered, working):
+    unregistered()
+    assert not any(thread.is_alive() for thread in working)
 
 
 def test_work_in_the_background_is_waited_for(addon):
@@ -69,20 +80,16 @@ def test_work_in_the_background_is_waited_for(addon):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_unregistering_gives_the_library_of_the_kernels_back(addon, tmp_path):
+def test_unregistering_gives_the_library_of_the_kernels_back(unregistered, monkeypatch, tmp_path):
     """A copy of it, since other tests hold the library itself."""
     copy = tmp_path / "mrpnn_kernels.so"
     copy.write_bytes(library.load_kernels().path.read_bytes())
     loaded = library.Kernels(copy)
-    held, library._kernels = library._kernels, (loaded, "")
-    try:
-        assert str(copy) in Path("/proc/self/maps").read_text()
-        addon.unregister()
-        assert str(copy) not in Path("/proc/self/maps").read_text()
-        addon.register()
-        # What still holds the kernels, such as a cache, loads them again.
-        assert loaded.scratch_bytes(structures.Scene(), 8) >= 0
-        assert str(copy) in Path("/proc/self/maps").read_text()
-    finally:
-        loaded.close()
-        library._kernels = held
+    monkeypatch.setattr(library, "_kernels", loaded)
+    assert str(copy) in Path("/proc/self/maps").read_text()
+    unregistered()
+    assert str(copy) not in Path("/proc/self/maps").read_text()
+    # What still holds the kernels, such as a cache, loads them again.
+    assert loaded.scratch_bytes(structures.Scene(), 8) >= 0
+    assert str(copy) in Path("/proc/self/maps").read_text()
+    loaded.close()

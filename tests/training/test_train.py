@@ -385,7 +385,7 @@ def test_training_inputs_equal_those_of_rendering():
         assert angle_to_sun(w, reader.lookup.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
 
         bound = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([sun]))
-        light = ray_features_at(bound, position, omega, predictor.fluence(sigma_t, [sun])).of(slice(None), 0, 0)[0]
+        light = ray_features_at(bound, position, omega, predictor.fluence(sigma_t, [Sun(sun)])).of(slice(None), 0, 0)[0]
         around = reader.light.read(x, w, reader.lookup.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)
