@@ -108,26 +108,24 @@ def test_a_region_is_cut_out_of_the_whole():
     np.testing.assert_allclose(part.alpha, whole.alpha[3:14, 5:17], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "laid_out",
-    [np.asfortranarray, lambda a: a[::-1].copy()[::-1], lambda a: np.repeat(a, 2, axis=0)[::2], np.float64],
-    ids=["Fortran's order", "reversed", "strided", "double precision"],
-)
-def test_how_arrays_lie_in_memory_changes_nothing(laid_out):
+@pytest.mark.slow(seconds=20)
+def test_how_arrays_lie_in_memory_changes_nothing():
     random = np.random.default_rng(3)
     density, emission, sky = (random.random(shape).astype(np.float32) for shape in [(9, 8, 7), (9, 8, 7, 3), (4, 8, 3)])
-    matrix = np.diag([0.1, 0.1, 0.1, 1.0])
 
     def found(laid_out):
-        volume = Volume(laid_out(density), matrix, "cloud", laid_out(emission))
+        volume = Volume(laid_out(density), np.diag([0.1, 0.1, 0.1, 1.0]), "cloud", laid_out(emission))
         lights = [SUN, PointLight((0.4, 0.4, 2.0), (5.0, 5.0, 5.0)), Environment(laid_out(sky))]
         layer = render([(volume, Medium(3.0, 0.9))], lights, camera(resolution=(8, 6)), Settings(depth_samples=2))
         (lit,) = bake([(volume, Medium(3.0, 0.9))], [SUN], camera())
         return layer.rgb, np.asarray(lit.emission)
 
-    for other, here in zip(found(laid_out), found(np.ascontiguousarray)):
-        assert here.max() > 0.0
-        np.testing.assert_array_equal(other, here)
+    rgb, baked = found(np.ascontiguousarray)
+    assert rgb.max() > 0.0 and baked.max() > 0.0
+    for laid_out in (np.asfortranarray, lambda a: a[::-1].copy()[::-1], lambda a: np.repeat(a, 2, axis=0)[::2]):
+        again = found(laid_out)
+        np.testing.assert_array_equal(again[0], rgb)
+        np.testing.assert_array_equal(again[1], baked)
 
 
 def test_rotating_translating_and_scaling_the_scene_changes_nothing():
