@@ -51,6 +51,8 @@ scene.render.engine = "MRPNN"; scene.mrpnn.depth_samples = 4
 scene.render.resolution_x, scene.render.resolution_y = 160, 120
 scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0
 bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
+# Without a graphics driver, Solid shading takes a second for every picture of a volume.
+area("VIEW_3D").spaces.active.shading.type = "WIREFRAME"
 outliner, panels = area("OUTLINER"), area("PROPERTIES")
 with over(outliner):
     bpy.ops.screen.area_join(source_xy=(panels.x + 40, panels.y + 40), target_xy=(outliner.x + 40, outliner.y + 40))

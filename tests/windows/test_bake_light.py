@@ -35,7 +35,7 @@ space.region_3d.view_perspective = "CAMERA"
 def lit(window):
     yield window
     window.do(
-        "area('VIEW_3D').spaces.active.shading.type = 'SOLID'\n"
+        "area('VIEW_3D').spaces.active.shading.type = 'WIREFRAME'\n"
         "with over(area('VIEW_3D')):\n"
         "    if bpy.context.scene.mrpnn_light.active: bpy.ops.mrpnn.bake_light_remove()\n"
         "bpy.context.scene.render.engine = 'MRPNN'"

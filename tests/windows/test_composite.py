@@ -164,4 +164,4 @@ def test_rendered_shading_by_cycles_still_shows_the_volumes(composited):
             corner = picture[bottom - 40, left + 60].mean()
         assert middle > corner + 10
     finally:
-        window.do("s.shading.type = 'SOLID'; s.overlay.show_overlays = True")
+        window.do("s.shading.type = 'WIREFRAME'; s.overlay.show_overlays = True")

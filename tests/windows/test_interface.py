@@ -230,7 +230,7 @@ def test_the_default_scene_names_what_is_not_rendered(window):
         window.until(f"any(missing.summary in status for status in {STATUS})")
         window.until(f"not {THREADS}")
         window.shot("default-scene-viewport")
-        window.do("area('VIEW_3D').spaces.active.shading.type = 'SOLID'")
+        window.do("area('VIEW_3D').spaces.active.shading.type = 'WIREFRAME'")
         window.press("96")
         window.until(RENDERING)
         window.until(f"not {RENDERING}")

@@ -76,5 +76,5 @@ def test_rendered_shading_shows_every_kind_of_light(window):
         assert "bug" not in status and "failed" not in status, f"{light}: {status}"
     said = window.console[before:]
     assert "Traceback" not in said and "bug" not in said, said
-    window.do("space.shading.type = 'SOLID'")
+    window.do("space.shading.type = 'WIREFRAME'")
     window.until(f"not {THREADS}")

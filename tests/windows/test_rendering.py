@@ -221,7 +221,7 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
 
 def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
     window.do(
-        "s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.shading.type = 'SOLID'\n"
+        "s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.shading.type = 'WIREFRAME'\n"
         "s.overlay.show_overlays = False"
     )
     window.do("s.shading.type = 'RENDERED'; area('PROPERTIES').spaces.active.context = 'RENDER'")
@@ -240,7 +240,7 @@ def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
             "r = area('VIEW_3D').spaces.active.region_3d; r.view_perspective = 'PERSP'\n"
             f"r.view_rotation = (1.0, 0.1 * {angle}, 0.0, 0.0)"
         )
-    window.do("s.shading.type = 'SOLID'")
+    window.do("s.shading.type = 'WIREFRAME'")
     window.until(f"not {THREADS}")
 
 
@@ -328,7 +328,7 @@ def test_a_sky_is_rendered_by_cycles_beside_the_interface(window):
     window.until(f"not {THREADS}")
     # Blender makes a preview of the sky's own, too.
     assert float(window.do(LONGEST)) < 2 * BLOCKED
-    window.do("s.shading.type = 'SOLID'; texture.sun_elevation = 0.9")
+    window.do("s.shading.type = 'WIREFRAME'; texture.sun_elevation = 0.9")
     window.press("96")
     window.until(RENDERING)
     window.until(f"not {RENDERING}")

@@ -47,7 +47,7 @@ def two(window):
     window.places = eval(window.do(PLACES))
     until_shown(window, (True, True))
     yield window
-    window.do("space.shading.type = 'SOLID'")
+    window.do("space.shading.type = 'WIREFRAME'")
     window.until(f"not {THREADS}")
 
 

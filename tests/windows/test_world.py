@@ -76,16 +76,16 @@ def still(window, name):
 def test_rendered_shading_shows_the_world_as_cycles_does(window, world, view):
     window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')")
     window.do(SETTINGS + WORLDS[world] + "\n" + VIEWS[view])
-    window.do("s.shading.type = 'SOLID'; scene.render.engine = 'MRPNN'")
+    window.do("s.shading.type = 'WIREFRAME'; scene.render.engine = 'MRPNN'")
     time.sleep(1.0)
     grey = rim(window, "world-solid")
     window.do("s.shading.type = 'RENDERED'")
     time.sleep(2.0)
     found = still(window, f"world-{world}-{view}")
     assert np.abs(found - grey).max() > 20
-    window.do("s.shading.type = 'SOLID'; scene.render.engine = 'CYCLES'; s.shading.type = 'RENDERED'")
+    window.do("s.shading.type = 'WIREFRAME'; scene.render.engine = 'CYCLES'; s.shading.type = 'RENDERED'")
     assert agreed(window, f"world-{world}-{view}-cycles", found) <= 3.0
-    window.do("s.shading.type = 'SOLID'; scene.render.engine = 'MRPNN'")
+    window.do("s.shading.type = 'WIREFRAME'; scene.render.engine = 'MRPNN'")
     window.until(f"not {THREADS}")
 
 
@@ -100,9 +100,9 @@ def test_a_transparent_film_looks_as_in_cycles(window):
     time.sleep(2.0)
     found = still(window, "world-transparent")
     assert np.abs(found - opaque).min(axis=0).max() > 20
-    window.do("s.shading.type = 'SOLID'; scene.render.engine = 'CYCLES'; s.shading.type = 'RENDERED'")
+    window.do("s.shading.type = 'WIREFRAME'; scene.render.engine = 'CYCLES'; s.shading.type = 'RENDERED'")
     assert agreed(window, "world-transparent-cycles", found) <= 3.0
-    window.do("s.shading.type = 'SOLID'; scene.render.engine = 'MRPNN'; scene.render.film_transparent = False")
+    window.do("s.shading.type = 'WIREFRAME'; scene.render.engine = 'MRPNN'; scene.render.film_transparent = False")
     window.do("s.shading.type = 'RENDERED'")
     assert agreed(window, "world-opaque-again", opaque) <= 1.0
     # Another World, and what its nodes hold.
@@ -118,5 +118,5 @@ def test_a_transparent_film_looks_as_in_cycles(window):
     time.sleep(2.0)
     green = still(window, "world-changed")
     assert green[:, 1].min() > green[:, 0].max() + 50
-    window.do("s.shading.type = 'SOLID'")
+    window.do("s.shading.type = 'WIREFRAME'")
     window.until(f"not {THREADS}")
