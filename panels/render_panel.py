@@ -194,6 +194,7 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
         column.prop(settings, "memory_limit")
         if not settings.memory_limit:
             _draw_preferred(context, column, f"{preferred.memory_limit} GiB")
+        column.prop(context.scene.render, "preview_pixel_size", text="Viewport Pixel Size")
 
 
 def _draw_preferred(context: "bpy.types.Context", layout: "bpy.types.UILayout", value: str) -> None:

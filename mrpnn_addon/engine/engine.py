@@ -30,7 +30,7 @@ from . import builtin_panels, viewport
 from .render_job import render_scene, stamp
 from .render_result import RenderResult
 from .viewport import Viewport, viewport_camera
-from .viewport_region import WHOLE, render_region
+from .viewport_region import WHOLE, coarser, pixel_size, render_region
 
 # Seconds between two looks at a thread, and between two updates of the clock.
 POLL_INTERVAL, CLOCK_INTERVAL = 0.05, 0.5
@@ -119,7 +119,11 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             camera = part and viewport_camera(
                 view.view_matrix, view.window_matrix, view.is_perspective, size, space.clip_end, part
             )
-            camera = camera and replace(camera, exposure=film_exposure(depsgraph.scene))
+            camera = camera and replace(
+                camera,
+                resolution=coarser(camera.resolution, pixel_size(depsgraph.scene)),
+                exposure=film_exposure(depsgraph.scene),
+            )
         except SceneError:
             # A camera of scale 0 shows nothing.
             camera = None

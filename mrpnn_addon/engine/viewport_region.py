@@ -18,6 +18,21 @@ def part_pixels(part: Part, size: tuple[int, int]) -> tuple[int, int]:
     return round((right - left) * width), round((top - bottom) * height)
 
 
+def pixel_size(scene: "bpy.types.Scene") -> int:
+    """Edge in pixels of the screen of a pixel that Rendered shading renders, of *Viewport Pixel Size*, as in Cycles."""
+    render: Any = scene.render
+    if render.preview_pixel_size != "AUTO":
+        return int(render.preview_pixel_size)
+    system: Any = bpy.context.preferences.system
+    return 2 if system.pixel_size > 1.5 else 1
+
+
+def coarser(resolution: tuple[int, int], size: int) -> tuple[int, int]:
+    """Width and height of a picture of some resolution whose pixels are `size` as large."""
+    width, height = (max(round(pixels / size), 1) for pixels in resolution)
+    return width, height
+
+
 def render_region(context: "bpy.types.Context", scene: "bpy.types.Scene") -> Part | None:
     """The part of a viewport's region inside its render region, on whole pixels; None where it is empty.
 

@@ -49,6 +49,7 @@ bpy.data.objects["Sun"].rotation_euler = 0.9, 0.3, 0
 scene.camera = bpy.data.objects["Camera"]; scene.camera.location.z = 8
 scene.render.engine = "MRPNN"; scene.mrpnn.depth_samples = 4
 scene.render.resolution_x, scene.render.resolution_y = 160, 120
+scene.render.preview_pixel_size = "4"
 scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0
 bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
 # Without a graphics driver, Solid shading takes a second for every picture of a volume.

@@ -219,12 +219,22 @@ def test_a_large_volume_is_read_and_rendered_while_blender_stays_usable(window):
         window.until(f"not {THREADS}")
 
 
+# Width and height of the picture that Rendered shading shows.
+PICTURE = (
+    "next(([*v._preview.picture.shape[1::-1]] for v in gc.get_objects() if type(v).__name__ == 'Viewport' "
+    "and getattr(v, '_preview', None) is not None and v._preview.done), [])"
+)
+
+
 def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
     window.do(
         "s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'; s.shading.type = 'WIREFRAME'\n"
         "s.overlay.show_overlays = False"
     )
-    window.do("s.shading.type = 'RENDERED'; area('PROPERTIES').spaces.active.context = 'RENDER'")
+    window.do(
+        "import gc; shown = region(area('VIEW_3D'))\n"
+        "s.shading.type = 'RENDERED'; area('PROPERTIES').spaces.active.context = 'RENDER'"
+    )
     left, top, right, bottom = window.box("VIEW_3D")
     # Threads read and refine; none is left once the last picture is there.
     start, red, blue = time.monotonic(), 0, 0
@@ -232,8 +242,13 @@ def test_rendered_shading_shows_the_volume_and_leaves_no_thread(window):
         time.sleep(0.5)
         red, _, blue = window.shot("preview")[(top + bottom) // 2, (left + right) // 2].astype(int)
     assert red > blue + 10
-    window.until(f"not {THREADS}")
+    # Last at full size, for the picture in docs.
+    for size in (4, 1):
+        window.do(f"scene.render.preview_pixel_size = '{size}'; area('VIEW_3D').tag_redraw()")
+        window.until(f"{PICTURE} == [round(edge / {size}) for edge in (shown.width, shown.height)]")
+        window.until(f"not {THREADS}")
     window.shot("viewport")
+    window.do("scene.render.preview_pixel_size = '4'")
     # Turned while it refines.
     for angle in range(5):
         window.do(

@@ -108,6 +108,18 @@ def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     assert len(sizes) == 3 and sizes == sorted(sizes) and sizes[-1] == (1920, 1080)
 
 
+def test_viewport_pixel_size_makes_pictures_coarser(addon, scene):
+    """As in Cycles; AUTO is 2 on screens of many pixels per inch alone."""
+    region = addon.mrpnn_addon.engine.viewport_region
+    assert scene.render.preview_pixel_size == "AUTO"
+    found = []
+    for size in ("AUTO", "1", "2", "4", "8"):
+        scene.render.preview_pixel_size = size
+        found.append(region.coarser((1001, 7), region.pixel_size(scene)))
+    dense = bpy.context.preferences.system.pixel_size > 1.5
+    assert found == [(500, 4) if dense else (1001, 7), (1001, 7), (500, 4), (250, 2), (125, 1)]
+
+
 @pytest.mark.slow
 def test_a_changed_scene_is_shown_as_changed(addon, scene, cloud):
     """Sun, position, density, colour and anisotropy, one after another, with one render cache."""

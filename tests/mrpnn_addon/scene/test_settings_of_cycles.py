@@ -86,11 +86,12 @@ RENDER = {
     "rendered: test_scene, test_background, test_composite": "resolution_.*|pixel_aspect.*|(use_)?border.*"
     "|use_crop_to_border|film_transparent|engine|fps.*|frame_map.*|use_compositing|use_sequencer|threads.*"
     "|use_persistent_data",
+    "rendered in the viewport: test_viewport": "preview_pixel_size",
     "stereo has its own tests": "use_multiview|views_format|(stereo_)?views|use_spherical_stereo",
     "Blender evaluates it": "use_simplify|simplify_.*|use_simplify_normals|hair_.*|use_.*single_layer|metadata_input",
     "Blender writes files by it": "image_settings|ffmpeg|dither_intensity|.*stamp.*|use_placeholder|use_overwrite"
     "|use_file_extension|file_extension|is_movie_format|filepath|use_render_cache|ppm_.*|save_output",
-    "the interface's": "preview_pixel_size|use_lock_interface|sequencer_.*|use_sequencer_override.*"
+    "the interface's": "use_lock_interface|sequencer_.*|use_sequencer_override.*"
     "|has_multiple_engines|compositor_.*|use_new_cpu_compositor|_bpy.*",
     "other engines'": "filter_size|use_freestyle|line_thickness.*|use_high_quality_normals|anisotropic_filter",
     "of surfaces": "bake|bake_.*|use_bake.*",
