@@ -52,8 +52,9 @@ scene.render.resolution_x, scene.render.resolution_y = 160, 120
 scene.render.preview_pixel_size = "4"
 scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0
 bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
-# Without a graphics driver, Solid shading takes a second for every picture of a volume.
+# Without a graphics driver, drawing takes most of the time: Solid shading a second for every picture of a volume.
 area("VIEW_3D").spaces.active.shading.type = "WIREFRAME"
+system = bpy.context.preferences.system; system.viewport_aa, system.use_overlay_smooth_wire = "OFF", False
 outliner, panels = area("OUTLINER"), area("PROPERTIES")
 with over(outliner):
     bpy.ops.screen.area_join(source_xy=(panels.x + 40, panels.y + 40), target_xy=(outliner.x + 40, outliner.y + 40))
