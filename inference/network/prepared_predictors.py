@@ -18,7 +18,8 @@ from .prepared_rays import PreparedLampRays
 from .ray_points import RayPoints
 from .uncertainty import UncertaintyNetwork
 
-# Of the coarse transport, which takes the network's place around a lamp near a volume or inside it; docs/method.md.
+# Standard deviation of the relative error where the coarse transport takes the network's place, around lamps near a
+# volume or inside it; docs/method-details.md, Compose.
 NEARBY_DEVIATION = 0.08
 # Distance from a lamp within which its light that turned by small angles is not told apart, over that of the transport.
 FORWARD_RADIUS = 0.25
