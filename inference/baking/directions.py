@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..numerics.small_matmul import product, solve_positive
 from ..scene.description import Sun
 from .directional_factor import (
     ANCHORS,
@@ -173,7 +174,7 @@ class DirectionFit:
             fitted[:, k] = np.einsum("nk,nk->n", coefficients, directional_terms(directions, self.lobe))
         logarithms = _logarithm(np.maximum(light, MIN_RADIANCE * light.mean(axis=1, keepdims=True)))
         # The same everywhere: anchors turn with the baked ray.
-        corrections = (logarithms - fitted) @ np.linalg.inv(anchor_terms(ANCHORS))
+        corrections = product(logarithms - fitted, np.linalg.inv(anchor_terms(ANCHORS)))
         return some.grid(corrections).values[tuple(nodes.places.T)].astype(np.float64)
 
     def _light(self, voxels: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -235,11 +236,12 @@ def _ratios(light: np.ndarray) -> np.ndarray:
 
 def _slopes(ratios: np.ndarray, weights: np.ndarray, turned: np.ndarray) -> np.ndarray:
     """Slopes (N, 9), three of each colour, that fit ratios (N, D, 3) with weights (N, D) along turned (N, D, 3)."""
-    matrix = np.einsum("nk,nkp,nkq->npq", weights, turned, turned, optimize=True)
-    stiffness = RIDGE * np.trace(matrix, axis1=1, axis2=2) + 1e-30
-    right = np.einsum("nk,nkp,nkc->npc", weights, turned, ratios, optimize=True)
-    found = np.linalg.solve(matrix + stiffness[:, None, None] * np.eye(3), right)
-    return found.transpose(0, 2, 1).reshape(-1, 9)
+    weighted = weights[..., None] * turned
+    matrix = np.stack([[np.einsum("nd,nd->n", weighted[..., p], turned[..., q]) for q in range(3)] for p in range(3)])
+    stiffness = RIDGE * np.einsum("ppn->n", matrix) + 1e-30
+    matrix += stiffness * np.eye(3)[..., None]
+    slopes = [solve_positive(matrix, np.einsum("ndp,nd->pn", weighted, ratios[..., c])) for c in range(3)]
+    return np.concatenate(slopes).T
 
 
 def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray:
@@ -251,18 +253,18 @@ def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray
     """
     mean = samples.sum(axis=1, keepdims=True) / (seen > 0.0).sum(axis=1, keepdims=True)
     floor = np.maximum(MIN_RADIANCE * mean, 1e-30)
-    logarithms = np.log(np.maximum(samples, floor) / np.maximum(mean, 1e-30))
-    weights = seen * (np.maximum(samples, floor) / np.maximum(mean, 1e-30))
-    matrix = np.einsum("nk,kp,kq->npq", weights, terms, terms, optimize=True)
-    stiffness = RIDGE * np.trace(matrix, axis1=1, axis2=2) / terms.shape[1]
+    relative = np.maximum(samples, floor) / np.maximum(mean, 1e-30)
+    weights, count = seen * relative, terms.shape[1]
+    pairs = (terms[:, :, None] * terms[:, None]).reshape(len(terms), -1)
+    matrix = np.ascontiguousarray(product(weights, pairs).T).reshape(count, count, -1)
+    stiffness = RIDGE * np.einsum("ppn->n", matrix) / count
     # The constant is free.
-    matrix += stiffness[:, None, None] * np.diag([1e-6, *[1.0] * (terms.shape[1] - 1)])
-    right = np.einsum("nk,kp,nk->np", weights, terms, logarithms, optimize=True)
-    found = np.linalg.solve(matrix, right[..., None])[..., 0]
-    fitted = np.exp(np.clip(found @ terms.T, -20.0, 20.0)) * mean
+    matrix += stiffness * np.diag([1e-6, *[1.0] * (count - 1)])[..., None]
+    coefficients = solve_positive(matrix, product(weights * np.log(relative), terms).T).T
+    fitted = np.exp(np.clip(product(coefficients, terms.T), -20.0, 20.0)) * mean
     scale = (seen * samples).sum(axis=1) / np.maximum((seen * fitted).sum(axis=1), 1e-30)
-    found[:, 0] += np.log(np.maximum(scale * mean[:, 0], 1e-30))
-    return found
+    coefficients[:, 0] += np.log(np.maximum(scale * mean[:, 0], 1e-30))
+    return coefficients
 
 
 def _spread(shape: Sequence[int], nodes: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

@@ -26,6 +26,24 @@ def affine_inverse(matrix: np.ndarray) -> np.ndarray:
     return found
 
 
+def solve_positive(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions (K, N) of N systems of symmetric positive definite matrices (K, K, N) and right sides (K, N).
+
+    Gaussian elimination of all systems at once. LAPACK would wake its threads for each of them.
+    """
+    matrices, right = matrices.copy(), right.copy()
+    for k in range(len(right)):
+        factors = matrices[k, k + 1 :] / matrices[k, k]
+        right[k + 1 :] -= factors * right[k]
+        # Elimination leaves what remains symmetric: the rows from the diagonal on are enough.
+        for row, factor in enumerate(factors, k + 1):
+            matrices[row, row:] -= factor * matrices[k, row:]
+    for k in reversed(range(len(right))):
+        right[k] /= matrices[k, k]
+        right[:k] -= matrices[:k, k] * right[k]
+    return right
+
+
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Lengths (N,) of vectors (N, 3); numpy's own function is slow along short axes."""
     x, y, z = vectors.T

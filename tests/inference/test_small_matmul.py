@@ -16,6 +16,8 @@ from inference import (
     Settings,
     SpotLight,
     Surface,
+    bake,
+    predict_multiple,
     render,
 )
 from inference.numerics.quadrature import legendre_nodes
@@ -26,8 +28,9 @@ from inference.numerics.small_matmul import (
     inverse,
     product,
     product_of_columns,
+    solve_positive,
 )
-from tests.support.volumes import SUN, cloud
+from tests.support.volumes import SUN, camera, cloud
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -101,6 +104,14 @@ def test_inverses_equal_those_of_numpy():
         np.testing.assert_allclose(inverse(matrix[:3, :3]), np.linalg.inv(matrix[:3, :3]), rtol=1e-9)
 
 
+def test_solutions_equal_those_of_numpy():
+    random = np.random.default_rng(7)
+    factors, right = random.normal(size=(200, 17, 17)), random.normal(size=(200, 17))
+    matrices = factors @ factors.transpose(0, 2, 1) + 0.1 * np.eye(17)
+    expected = np.linalg.solve(matrices, right[..., None])[..., 0]
+    np.testing.assert_allclose(solve_positive(matrices.transpose(1, 2, 0), right.T).T, expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 10, 16, 33, 64, 128])
 def test_quadrature_is_exact_for_polynomials(count):
     """As Gauss and Legendre's rule is, up to a degree of 2 n - 1; numpy's nodes are the same."""
@@ -132,23 +143,43 @@ def test_renders_do_not_wake_the_threads_of_blas(lights, ground):
     check_threads_of_blas(lights, ground, (64, 64))
 
 
+@pytest.mark.slow(seconds=30)
+@pytest.mark.parametrize("lights", ["sun and sky", "point light inside"])
+def test_bakes_do_not_wake_the_threads_of_blas(lights):
+    albedo, view = (0.9, 0.8, 0.7), camera()
+    volumes = [(cloud(voxels=16), Medium(40.0, albedo, 0.8))]
+    alone(lambda: bake(volumes, LIGHTS[lights], view, Settings(threads=1)))
+
+
+@pytest.mark.parametrize("light", [SUN, *LIGHTS["point light"], SKY], ids=["sun", "lamp", "sky"])
+def test_predictions_at_points_do_not_wake_the_threads_of_blas(light):
+    points = np.random.default_rng(8).uniform(-0.3, 0.3, (500, 3))
+    alone(lambda: predict_multiple(cloud(), Medium(40.0, 0.9, 0.8), light, points, np.full((500, 3), 3**-0.5)))
+
+
 @pytest.mark.parametrize("lights", ["sun and sky", "point light inside"])
 def test_large_renders_do_not_wake_the_threads_of_blas(lights):
     check_threads_of_blas(LIGHTS[lights], False, (480, 480))
 
 
 def check_threads_of_blas(lights, ground, resolution):
-    """They would spin beside the render's own. The kernels' time is the process's, with one thread for tasks."""
-    settings = Settings(threads=1)
     matrix = np.eye(4)
     matrix[2, 3] = 3.0
+    view = Camera(matrix, resolution=resolution)
     surfaces = [Surface(FLOOR, "floor", reflectance=(0.6, 0.5, 0.4))] if ground else []
-    scene = [(cloud(), Medium(40.0, 0.9, 0.8))], lights, Camera(matrix, resolution=resolution), settings
+    volumes = [(cloud(), Medium(40.0, 0.9, 0.8))]
+    alone(lambda: render(volumes, lights, view, Settings(threads=1), cache=RenderCache(), surfaces=surfaces))
+
+
+def alone(work):
+    """Check that one thread works at a time: others would spin beside the render's own.
+
+    The kernels' time is the process's, with one thread for tasks.
+    """
     # The second time without what is loaded once.
     for _ in range(2):
         time.sleep(0.3)
         process, clock = time.process_time(), time.perf_counter()
-        render(*scene, cache=RenderCache(), surfaces=surfaces)
+        work()
         process, clock = time.process_time() - process, time.perf_counter() - clock
-    # One thread works at a time.
     assert process < 1.08 * clock + 0.02
