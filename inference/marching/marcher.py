@@ -266,7 +266,7 @@ def describe_medium(
     density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
     described = structures.Medium(
         density=density,
-        held=grid.density.held if isinstance(grid.density, DenseGrid) else None,
+        held=grid.density.filled_bits if isinstance(grid.density, DenseGrid) else None,
         occupancy=occupancy,
         suns=structures.array_of([depth.described(medium.sigma_t) for depth in medium.sun_depths]),
         phase=_phase_table(medium.medium) if lamps else None,
