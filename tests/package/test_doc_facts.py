@@ -161,7 +161,7 @@ FACTS = [
         "docs/method.md",
         r"exceeds (\d+) times the mean of the rest within a cone of (\d+)°, where that is at least (\d+) %",
         "inference.scene.environment",
-        ("PEAK", "np.degrees(PEAK_ANGLE)", "100 * PEAK_SHARE"),
+        ("PEAK", "np.degrees(PEAK_ANGLE)", "100 * PEAK_FRACTION"),
     ),
     ("docs/method.md", r"\(S_N\) on (\d+)³ cells", "inference.transport.discrete_ordinates", ("CELLS",)),
     (
