@@ -48,7 +48,7 @@ def relative_rmse(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike,
     product negative: the error is then below what the halves can resolve. Raises ValueError for shapes that differ, an
     empty mask and a black reference.
     """
-    image, first, second, shown = _checked(layer, a, b, mask)
+    image, first, second, covered = _checked(layer, a, b, mask)
     squared = ((image - first) * (image - second)).mean(axis=-1)
     reference = ((first + second) / 2).mean(axis=-1)
 
@@ -56,7 +56,7 @@ def relative_rmse(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike,
         count, square, brightness = sums
         return np.sqrt(np.maximum(square / count, 0.0)) / (brightness / count)
 
-    return _estimate(statistic, shown, seed, squared, reference)
+    return _estimate(statistic, covered, seed, squared, reference)
 
 
 def relative_bias(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike, seed: int = 0) -> Estimate:
@@ -64,7 +64,7 @@ def relative_bias(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike,
 
     Arguments and errors as for `relative_rmse`.
     """
-    image, first, second, shown = _checked(layer, a, b, mask)
+    image, first, second, covered = _checked(layer, a, b, mask)
     reference = ((first + second) / 2).mean(axis=-1)
     difference = image.mean(axis=-1) - reference
 
@@ -72,14 +72,14 @@ def relative_bias(layer: ArrayLike, a: ArrayLike, b: ArrayLike, mask: ArrayLike,
         _, deviation, brightness = sums
         return deviation / brightness
 
-    return _estimate(statistic, shown, seed, difference, reference)
+    return _estimate(statistic, covered, seed, difference, reference)
 
 
 def paper_metric(layer: ArrayLike, a: ArrayLike, b: ArrayLike) -> float:
     """The paper's metric: 100 x RMSE of luma after ACES tone mapping of pi L, over the whole image.
 
     layer, a, b: (H, W) or (H, W, 3). The factor of pi is there because the published implementation's radiance is pi
-    times the physical one. Tone mapping is not linear, so that very noisy halves give a slightly too large value.
+    times the physical radiance. Tone mapping is not linear, so that very noisy halves give a slightly too large value.
     """
     luma, first, second = (_tone_mapped_luma(np.asarray(image, np.float64)) for image in (layer, a, b))
     return 100.0 * float(np.sqrt(max(0.0, np.mean((luma - first) * (luma - second)))))
@@ -97,16 +97,16 @@ def _checked(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Images as float64 (H, W, C) and the mask as bool (H, W)."""
     images = [np.asarray(image, np.float64) for image in (layer, a, b)]
-    shown = np.asarray(mask, bool)
+    covered = np.asarray(mask, bool)
     shapes = {image.shape for image in images}
-    if len(shapes) != 1 or images[0].shape[:2] != shown.shape:
-        raise ValueError(f"images and mask differ in size: {sorted(shapes)}, mask {shown.shape}")
-    if not shown.any():
+    if len(shapes) != 1 or images[0].shape[:2] != covered.shape:
+        raise ValueError(f"images and mask differ in size: {sorted(shapes)}, mask {covered.shape}")
+    if not covered.any():
         raise ValueError("the mask is empty: no pixel shows the volume")
     first, second, third = (image if image.ndim == 3 else image[..., None] for image in images)
-    if not (second + third)[shown].sum() > 0.0:
+    if not (second + third)[covered].sum() > 0.0:
         raise ValueError("the reference is black where the layer shows the volume")
-    return first, second, third, shown
+    return first, second, third, covered
 
 
 def _estimate(

@@ -23,9 +23,9 @@ ACCURACY = 0.1
 class Rung:
     """One candidate's image against the reference.
 
-    method: what rendered it. samples: per pixel, or depth samples. seconds: wall clock of the frame. cpu_seconds: of
-    all threads. once, once_cpu: the part of these that further frames of the same volume and sun do not repeat. rmse,
-    bias: relative. flip: NVIDIA's perceptual difference, None if it was not computed.
+    method: name of the renderer. samples: per pixel, or depth samples. seconds: wall clock of the frame. cpu_seconds:
+    of all threads. once, once_cpu: the part of these that further frames of the same volume and sun do not repeat.
+    rmse, bias: relative. flip: NVIDIA's perceptual difference, None if it was not computed.
     """
 
     method: str
@@ -46,7 +46,7 @@ class Rung:
 
 @dataclass
 class Reached:
-    """A value and how it is known: MEASURED, EXTRAPOLATED, AT_MOST or AT_LEAST."""
+    """A value; how: MEASURED, EXTRAPOLATED, AT_MOST or AT_LEAST."""
 
     value: float
     how: str
@@ -77,7 +77,7 @@ class PathTracing:
         return Reached(self.seconds(samples), MEASURED if 1 <= samples <= self.largest else EXTRAPOLATED)
 
     def error_after(self, seconds: float) -> Reached:
-        """Error after some time; that of one sample if the time is too short for one."""
+        """Error after a time in seconds; that of a single sample if the time is too short for it."""
         samples = (seconds - self.start) / self.each
         if samples < 1.0:
             return Reached(float(np.sqrt(self.variance)), AT_LEAST)
@@ -85,14 +85,14 @@ class PathTracing:
 
 
 def cost(samples: ArrayLike, seconds: ArrayLike) -> tuple[float, float]:
-    """Fit (start, each) of seconds = start + each * samples with the least relative error; neither is negative."""
+    """Fit (start, per_sample) of seconds = start + per_sample * samples by relative error; neither is negative."""
     x, y = np.asarray(samples, float), np.asarray(seconds, float)
     if len(np.unique(x)) < 2:
         return 0.0, float((y / x).mean())
-    each, start = np.polyfit(x, y, 1, w=1.0 / np.maximum(y, 1e-9))
-    if each <= 0.0 or start < 0.0:
+    per_sample, start = np.polyfit(x, y, 1, w=1.0 / np.maximum(y, 1e-9))
+    if per_sample <= 0.0 or start < 0.0:
         return 0.0, float(y.sum() / x.sum())
-    return float(start), float(each)
+    return float(start), float(per_sample)
 
 
 def variance_at_one(a: np.ndarray, b: np.ndarray, mask: np.ndarray, samples: float) -> float:
@@ -101,32 +101,32 @@ def variance_at_one(a: np.ndarray, b: np.ndarray, mask: np.ndarray, samples: flo
 
 
 def variance_on_ladder(rungs: Sequence[Rung]) -> float:
-    """As `variance_at_one`, of the errors of a ladder without bias; larger numbers of samples weigh more."""
+    """As `variance_at_one`, from the errors of a ladder without bias; larger numbers of samples weigh more."""
     return float(sum((r.samples * r.rmse.value) ** 2 for r in rungs) / sum(r.samples for r in rungs))
 
 
 def seconds_on_ladder(rungs: Sequence[Rung], error: float, clock: str = "seconds") -> Reached:
     """Time in which a ladder of one method, by ascending samples, reaches `error`.
 
-    Log-log interpolation between rungs. Beyond the last the error is assumed to fall with 1 / sqrt(samples), which a
-    biased filter cannot exceed: AT_LEAST. clock: attribute of Rung to read.
+    Log-log interpolation between rungs. Beyond the last rung the error is assumed to fall with 1 / sqrt(samples), which
+    a biased filter cannot exceed: AT_LEAST. clock: attribute of Rung to read.
     """
     times, errors = [getattr(r, clock) for r in rungs], [r.error for r in rungs]
-    for i, (time, found) in enumerate(zip(times, errors)):
-        if found <= error:
+    for i, (time, reached) in enumerate(zip(times, errors)):
+        if reached <= error:
             if i == 0:
                 return Reached(time, AT_MOST)
-            share = np.log(errors[i - 1] / error) / max(np.log(errors[i - 1] / max(found, 1e-12)), 1e-12)
-            return Reached(float(times[i - 1] * (time / times[i - 1]) ** min(share, 1.0)), MEASURED)
+            exponent = np.log(errors[i - 1] / error) / max(np.log(errors[i - 1] / max(reached, 1e-12)), 1e-12)
+            return Reached(float(times[i - 1] * (time / times[i - 1]) ** min(exponent, 1.0)), MEASURED)
     if error <= 0.0:
         return Reached(np.inf, AT_LEAST)
     best = int(np.argmin(errors))
-    start, each = cost([r.samples for r in rungs], times)
-    return Reached(start + each * rungs[best].samples * (errors[best] / error) ** 2, AT_LEAST)
+    start, per_sample = cost([r.samples for r in rungs], times)
+    return Reached(start + per_sample * rungs[best].samples * (errors[best] / error) ** 2, AT_LEAST)
 
 
 def error_on_ladder(rungs: Sequence[Rung], seconds: float, clock: str = "seconds") -> Reached:
-    """Error of a ladder of one method after some time: that of its best rung finished by then."""
+    """Error of a ladder of one method after a time in seconds: that of the best rung finished by then."""
     done = [r.error for r in rungs if getattr(r, clock) <= seconds]
     return Reached(min(done), MEASURED) if done else Reached(rungs[0].error, AT_LEAST)
 
@@ -135,7 +135,7 @@ def error_on_ladder(rungs: Sequence[Rung], seconds: float, clock: str = "seconds
 class Verdict:
     """Whether a reference is good enough to judge a candidate.
 
-    more: factor of its samples that a good one has, at least 1. seconds: that a good one takes.
+    more: factor of its samples that a good reference has, at least 1. seconds: that a good reference takes.
     """
 
     good: bool
@@ -148,8 +148,8 @@ class Verdict:
         if not np.isfinite(self.more):
             return "too noisy to judge: the error cannot be told from 0"
         return (
-            f"too noisy to judge: one that tells the error to {ACCURACY:.0%} has {self.more:.1f} times the samples "
-            f"and takes about {self.seconds:.0f} s"
+            f"too noisy to judge: for {ACCURACY:.0%} accuracy, render {self.more:.1f} times the samples "
+            f"(about {self.seconds:.0f} s)"
         )
 
 

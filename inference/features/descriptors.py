@@ -40,7 +40,7 @@ class FieldLookup:
         begin = (np.cumsum(sizes) - sizes)[stencil.mips]
         first = np.array([level.first for level in levels]).T
         self.begin = (begin - (self.stride * first).sum(axis=0)).astype(np.int32)
-        # Fine cells are linear in a point's position, frame and jitter: one product per axis gives those of all points.
+        # Fine cells are linear in a point's position, frame and jitter: a product per axis gives those of all points.
         low, count = len(stencil.low), len(stencil.mips)
         self.terms = np.zeros((3, 7, count), np.float32)
         self.terms[:, 0], self.terms[:, 4] = scale, 1.0
@@ -94,7 +94,7 @@ class FieldLookup:
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Run-length encoding of rows (N, k).
 
-    Returns the numbers int (V,) of the rows that differ from the previous one, and int32 (N,) which of them each row
+    Returns the numbers int (V,) of the rows that differ from the previous row, and int32 (N,) which of these each row
     equals.
     """
     new = np.ones(len(rows), bool)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light that arrives at points from directions around the camera ray (final gathering).
 
-Light that forward scattering turns into the camera ray comes from directions close to it. Along 8 of these, on four
+Light that forward scattering turns into the camera ray comes from directions close to it. Along 8 directions, on four
 cones around the camera ray that stand for quarters of the probability of Henyey-Greenstein's phase function, a few
-steps gather what reaches the point:
+steps gather the light that reaches the point:
 
     single    = integral of exp(-tau - tau_sun) dtau,
     reduced   = integral of exp(-a (tau + tau_sun)) a dtau,
@@ -24,16 +24,16 @@ from ..scene.phase_function import reduced_anisotropy
 
 #: Level of the density pyramid that rays read.
 LEVEL = 1
-# Cones around the camera ray. On the first and the third lie the two directions across the sun's, on the second and the
-# fourth those towards it and away from it.
+# Cones around the camera ray, with two directions each: across the sun's on the first and the third cone, towards the
+# sun and away from it on the second and the fourth.
 RINGS, AZIMUTHS = 4, 2
 RAYS = RINGS * AZIMUTHS
-#: Directions that networks tell apart: two across, on one cone, are averaged; and values per direction.
+#: Directions that networks read, in which the two across the sun's on a cone are averaged; and values per direction.
 DIRECTIONS, VALUES = 6, 4
-#: Which of the values the light gives: unscattered, and that of the coarse transport.
+#: Indices of the values of light: unscattered, with reduced extinction, and from the coarse transport.
 SINGLE, REDUCED, SCATTERED = range(3)
 STEPS = 8
-# Optical thickness of a step where tau is 0, and how much longer than the one before a step may be.
+# Optical thickness of a step where tau is 0, and by what factor a step may be longer than the step before.
 THICKNESS, GROWTH = 0.4, 1.6
 #: a, for light that is scattered forwards, and the lower bound of phi - 3 G' F . w over phi; the kernel holds both.
 SCALE, MIN_SHARE = 1.0 / 3.0, 0.02
@@ -44,11 +44,11 @@ SHADOW_DEPTH = 16.0
 @functools.lru_cache(maxsize=64)
 def gather_directions(anisotropy: float) -> np.ndarray:
     """Unit vectors float32 (3, RAYS), ring after ring, in the frame of the camera ray (`stencil.frames`)."""
-    share, g = (np.arange(RINGS) + 0.5) / RINGS, anisotropy
+    fraction, g = (np.arange(RINGS) + 0.5) / RINGS, anisotropy
     if abs(g) < 1e-3:
-        cosine = 1.0 - 2.0 * share
+        cosine = 1.0 - 2.0 * fraction
     else:
-        s = (1.0 - g * g) / (1.0 - g + 2.0 * g * (1.0 - share))
+        s = (1.0 - g * g) / (1.0 - g + 2.0 * g * (1.0 - fraction))
         cosine = (1.0 + g * g - s * s) / (2.0 * g)
     cosine = np.clip(cosine, -1.0, 1.0)[:, None]
     azimuth = np.pi * (np.arange(AZIMUTHS) + 0.5 * (np.arange(RINGS) % 2 == 0)[:, None])
@@ -63,7 +63,7 @@ def unit_sun_depth(density: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 
 def shadowed_depth(depth: np.ndarray, visibility: np.ndarray, sigma_hat: float) -> np.ndarray:
-    """A depth for sigma_hat = 1 with what surfaces take of the light: visibility from 0 to 1, both (n, n, n)."""
+    """A depth for sigma_hat = 1 that includes the shadow of surfaces: visibility from 0 to 1, both (n, n, n)."""
     return depth - np.log(np.maximum(visibility, np.exp(-SHADOW_DEPTH))) / np.float32(max(sigma_hat, 1e-30))
 
 
@@ -77,9 +77,9 @@ def _shifts() -> np.ndarray:
 class FinalGather:
     """Gathers the light of one sun of irradiance 1 in one medium.
 
-    media: float32 (n + 3, n + 3, n + 3, 2), a level of the density pyramid and the optical depth towards the sun, for
-    sigma_hat = 1, with one cell more below and two above along each axis: zeros, and the outermost depths. light:
-    float32 (m, m, m, 4), fluence and flux of the coarse transport.
+    media: float32 (n + 3, n + 3, n + 3, 2), a level of the density pyramid and the optical depth towards the sun for
+    sigma_hat = 1, padded along each axis by a cell below and two above: with zeros, and with the outermost depths.
+    light: float32 (m, m, m, 4), fluence and flux of the coarse transport.
     """
 
     media: np.ndarray
@@ -113,7 +113,7 @@ class FinalGather:
         """
         at = np.ascontiguousarray(positions, np.float32)
         turned = np.ascontiguousarray(turned, np.float32)
-        found = np.empty((len(at), RAYS, VALUES), np.float32)
+        values = np.empty((len(at), RAYS, VALUES), np.float32)
         call(
             "gather_light",
             points=len(at),
@@ -131,9 +131,9 @@ class FinalGather:
             light_edge=len(self.light),
             sigma=self.sigma_hat,
             flux=3.0 * reduced_anisotropy(self.anisotropy),
-            out=found,
+            out=values,
         )
-        pairs = found.reshape(len(at), RINGS // 2, 2, AZIMUTHS, VALUES)
+        pairs = values.reshape(len(at), RINGS // 2, 2, AZIMUTHS, VALUES)
         gathered = np.empty((len(at), RINGS // 2, 1 + AZIMUTHS, VALUES), np.float32)
         gathered[:, :, 0] = np.float32(0.5) * (pairs[:, :, 0, 0] + pairs[:, :, 0, 1])
         gathered[:, :, 1:] = pairs[:, :, 1]

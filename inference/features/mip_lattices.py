@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the descriptors read: the density pyramid and the scaled transmittance fields.
+"""The density pyramid and the scaled transmittance fields, which the descriptors read.
 
 Mip m has n = 2^(8 - m) cells along the edge of the cube. Its density is level m of the pyramid; its transmittance is
 field i = max(m - 1, 0), which integrates through level i + 1. Both are stored on a lattice that extends as far beyond
-the cube as the mip's stencil points: density is 0 there, and the optical depth towards the sun through the cube is what
-the redirection to the boundary in appendix A.3 of the paper gives.
+the cube as the mip's stencil points: density is 0 there, and the optical depth towards the sun through the cube equals
+that of the redirection to the boundary in appendix A.3 of the paper.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -96,8 +96,8 @@ def visibility_levels(stencil: Stencil, shadow_map: ShadowMap) -> list[np.ndarra
     shadow_map: in the cube's frame.
     """
     return [
-        shadow_map.cell_visibility(LEVEL0_CELLS >> m, margin, parts)
-        for m, (margin, parts) in enumerate(zip(margins(stencil)[1:], VISIBILITY_SAMPLES), start=1)
+        shadow_map.cell_visibility(LEVEL0_CELLS >> m, margin, samples)
+        for m, (margin, samples) in enumerate(zip(margins(stencil)[1:], VISIBILITY_SAMPLES), start=1)
     ]
 
 
@@ -105,8 +105,8 @@ def visibility_levels(stencil: Stencil, shadow_map: ShadowMap) -> list[np.ndarra
 class Lattice:
     """Features of one mip, ready for one lookup per point.
 
-    packed: uint16 (sx, sy, sz), density feature at fine-cell centres in quantization steps; or uint32, whose lower half
-    it is and whose upper half is the scaled transmittance. origin: cube coordinate of fine cell 0, the same on every
+    packed: uint16 (sx, sy, sz), density feature at fine-cell centres in quantization steps; or uint32 with that in the
+    lower half and the scaled transmittance in the upper half. origin: cube coordinate of fine cell 0, the same on every
     axis. scale: fine cells per cube edge. first: int (3,), the fine cell at packed[0, 0, 0].
     """
 
@@ -120,8 +120,8 @@ class Lattice:
 class Lattices:
     """Lattices of mips 0 to 7.
 
-    values: those of all lattices, one after another. density_step: quantization step of the density feature; that of
-    the transmittance is 1 / QUANTA.
+    values: packed values of all lattices, one after another. density_step: quantization step of the density feature;
+    the step of the transmittance is 1 / QUANTA.
     """
 
     values: np.ndarray
@@ -136,7 +136,7 @@ class Lattices:
     def read(self, index: np.ndarray, features: np.ndarray) -> None:
         """Fill features, float32 (N, k, columns), with density and, if stored, transmittance.
 
-        index: (N, k), places in `values`.
+        index: (N, k), into `values`.
         """
         # The lattices contain every cell that a stencil can read; clipping is cheaper than checking.
         steps = self.values.take(index, mode="clip").view(np.uint16)
@@ -152,7 +152,7 @@ def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> t
     """Fine cells of mip m that stencils around points from low to high (3,) can read: first, last + 1."""
     margin, reach, scale = margins(stencil)[m], stencil.reach(m), (LEVEL0_CELLS >> m) * FINE[m]
     cells = scale + 2 * margin * FINE[m]
-    # One more cell on either side, for rounding.
+    # A cell more on either side, for rounding.
     first = np.floor((low - reach + 0.5) * scale).astype(int) + margin * FINE[m] - 1
     last = np.floor((high + reach + 0.5) * scale).astype(int) + margin * FINE[m] + 2
     return np.clip(first, 0, cells - 1), np.clip(last, 1, cells)
@@ -162,32 +162,32 @@ def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> t
 class Between:
     """Where fine cells lie between the cells of a grid, along each axis.
 
-    below: int32, the cell below each fine cell. share: float32, of the next one.
+    below: int32, the cell below each fine cell. fraction: float32, of the way to the next cell.
     """
 
     below: list[np.ndarray]
-    share: list[np.ndarray]
+    fraction: list[np.ndarray]
 
     @classmethod
     def of(cls, centres: Sequence[np.ndarray], shape: Sequence[int]) -> "Between":
-        """Of fine centres in cells of the grid, whose centres are integers; clamped at the border."""
-        below, share = [], []
+        """From centres of fine cells, in cells of the grid, whose centres are integers; clamped at the border."""
+        below, fraction = [], []
         for position, count in zip(centres, shape):
             # Round, so that fine centres that coincide with a cell's centre do so exactly.
             position = np.clip(np.round(position, 6), 0.0, count - 1.0)
             below.append(np.minimum(position.astype(np.int32), count - 2))
-            share.append((position - below[-1]).astype(np.float32))
-        return cls(below, share)
+            fraction.append((position - below[-1]).astype(np.float32))
+        return cls(below, fraction)
 
     def described(self, grid: np.ndarray | None) -> structures.Shared:
-        """For the kernel; None: left out."""
+        """For the kernel; empty for None."""
         if grid is None:
             return structures.Refinement()
         return structures.Refinement(
             values=np.ascontiguousarray(grid, np.float32),
             shape=np.array(grid.shape),
             below=tuple(self.below),
-            share=tuple(self.share),
+            fraction=tuple(self.fraction),
         )
 
 
@@ -216,7 +216,7 @@ def build_lattices(
 
     padded: from `padded_levels`. sigma_hat: extinction per unit density times the cube's edge. sun: None for lattices
     of the density alone, which serve every sun. bounds: lowest and highest (3,), in the cube's frame, of the points to
-    describe; what their stencils cannot reach is not built. mapper: `map`, or `Tasks.each` to build parts on several
+    describe; cells beyond the reach of their stencils are not built. mapper: `map`, or `Tasks.each` for several
     threads. earlier: Lattices of another sun with otherwise equal arguments, whose density is reused.
 
     Density is interpolated before taking the logarithm, and optical depth before the exponential.
@@ -239,8 +239,8 @@ def build_lattices(
         """Planes of a mip from `start` on."""
         n, source = LEVEL0_CELLS >> m, max(m, 1)
         first, last = spans[m]
-        part = packed[m][start : start + planes[m]]
-        columns = part.view(np.uint16).reshape(*part.shape, -1)
+        block = packed[m][start : start + planes[m]]
+        columns = block.view(np.uint16).reshape(*block.shape, -1)
         # Fine-cell centres in cube edges from the cube's lower corner.
         cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
         cube[0] = cube[0][start : start + planes[m]]
@@ -252,7 +252,7 @@ def build_lattices(
         coarse = Between.of([c * cells + margin[source] - 0.5 for c in cube], padded[source].shape)
         call(
             "fill_lattice",
-            shape=np.array(part.shape),
+            shape=np.array(block.shape),
             density=fine.described(density),
             depth=coarse.described(depth),
             visibility=coarse.described(visibility),
@@ -262,10 +262,10 @@ def build_lattices(
             least_visible=float(np.exp(-MAX_SHADOW_DEPTH * BETA**source)),
             packed=columns,
             columns=columns.shape[-1],
-            scratch=np.empty(2 * part.shape[2] + max(padded[m].shape[2], padded[source].shape[2]), np.float32),
+            scratch=np.empty(2 * block.shape[2] + max(padded[m].shape[2], padded[source].shape[2]), np.float32),
         )
 
-    # Small parts, so that a cancelled render ends soon.
+    # Small blocks, so that a cancelled render ends soon.
     planes = [max(CELLS_PER_TASK // lattice[0].size, 1) for lattice in packed]
     tasks = [(m, start) for m in range(MIPS) for start in range(0, len(packed[m]), planes[m])]
     list(mapper(lambda task: build(*task), tasks))

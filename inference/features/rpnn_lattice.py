@@ -2,7 +2,7 @@
 """RPNN's descriptor: mean density on ten lattices around x that extend towards the sun.
 
 A lattice has 5 x 5 x 9 points that span [-1, -1, -1] to [1, 1, 3], z along the direction to the sun. Level k is twice
-the size of level k - 1 and reads mip k of the density pyramid, from mip 8 on the last one, which is the whole cube.
+the size of level k - 1 and reads mip k of the density pyramid, but at most mip 8, which is the whole cube.
 Neighbouring points of level k lie one cell of mip k apart, so that their footprints touch. The method leaves the roll
 about z open; here it puts omega into the half-plane x > 0, y = 0, so that the result does not depend on the orientation
 of the scene.

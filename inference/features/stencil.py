@@ -19,7 +19,7 @@ LAYER_MIPS = (0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3)
 LOW_LAYERS = 8
 LOW_POINTS = sum(LAYER_POINTS[:LOW_LAYERS])
 POINTS = sum(LAYER_POINTS)
-# A sparse stencil keeps one in so many points of each layer.
+# A sparse stencil keeps every SPARSE-th point of each layer.
 SPARSE = 4
 MIPS = 8
 
@@ -50,7 +50,7 @@ class Stencil:
 
     @classmethod
     def read(cls, values: np.ndarray, every: int = 1) -> "Stencil":
-        """From the floats that `written` gives. Raises ValueError for another number of them."""
+        """From the floats that `written` gives. Raises ValueError for another number of floats."""
         low = 3 * (LOW_POINTS // every)
         return cls(values[:low].reshape(-1, 3), values[low:], every)
 
@@ -88,9 +88,9 @@ def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     parallel = np.flatnonzero(length < 1e-6)
     if len(parallel):
         # The axis least aligned with omega replaces a perpendicular part that vanishes.
-        some = omega[parallel]
-        spare = np.eye(3)[np.abs(some).argmin(axis=1)]
-        x[parallel] = spare - np.sum(spare * some, axis=1, keepdims=True) * some
+        rays = omega[parallel]
+        spare = np.eye(3)[np.abs(rays).argmin(axis=1)]
+        x[parallel] = spare - np.sum(spare * rays, axis=1, keepdims=True) * rays
         length = lengths(x)
     x /= length[:, None]
     turned = np.empty((len(omega), 3, 3))

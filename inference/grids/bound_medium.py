@@ -55,8 +55,6 @@ class BoundMedium:
 
 
 def scattering_channels(media: Sequence[BoundMedium], channels: Sequence[int]) -> list[int]:
-    """Of the colour channels that are rendered together, those whose scattering differs: the first stands for all
-    unless an albedo varies in colour.
-    """
+    """Colour channels whose scattering differs: all of `channels` if an albedo varies in colour, else the first."""
     coloured = any(medium.varies and len(medium.grid.scattering) == 3 for medium in media)
     return list(channels) if coloured else list(channels[:1])

@@ -16,10 +16,10 @@ def refined(values: np.ndarray, times: int) -> np.ndarray:
     """
     values = np.pad(values, 1).astype(np.float32)
     for axis in range(3):
-        place = np.arange(1, (values.shape[axis] - 1) * times) / times
-        cell = place.astype(int)
-        share = (place - cell).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
-        values = values.take(cell, axis) * (1 - share) + values.take(cell + 1, axis) * share
+        position = np.arange(1, (values.shape[axis] - 1) * times) / times
+        cell = position.astype(int)
+        fraction = (position - cell).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
+        values = values.take(cell, axis) * (1 - fraction) + values.take(cell + 1, axis) * fraction
     return values
 
 
@@ -43,14 +43,14 @@ class DenseGrid:
         return sample_padded(self.padded, index)
 
     @functools.cached_property
-    def held(self) -> np.ndarray:
+    def filled_bits(self) -> np.ndarray:
         """uint8, bits of the padded voxels along the last axis, lowest first: 0 where all values are 0 from a voxel to
         the next along all axes."""
-        held = self.padded != 0.0
+        filled = self.padded != 0.0
         for axis in range(3):
-            along = np.moveaxis(held, axis, 0)
+            along = np.moveaxis(filled, axis, 0)
             along[:-1] |= along[1:]
-        return np.packbits(held, axis=2, bitorder="little")
+        return np.packbits(filled, axis=2, bitorder="little")
 
     def cells(self) -> np.ndarray:
         """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
@@ -65,9 +65,9 @@ def _reduced(function: np.ufunc, values: np.ndarray, cell: int) -> np.ndarray:
     """A function of the values in cells of cell x cell x cell; `reduceat` takes ten times as long for short runs."""
     for axis in range(3):
         along = np.moveaxis(values, axis, 0)
-        found = along[::cell].copy()
+        reduced = along[::cell].copy()
         for n in range(1, cell):
-            part = along[n::cell]
-            function(found[: len(part)], part, out=found[: len(part)])
-        values = np.moveaxis(found, 0, axis)
+            others = along[n::cell]
+            function(reduced[: len(others)], others, out=reduced[: len(others)])
+        values = np.moveaxis(reduced, 0, axis)
     return np.ascontiguousarray(values)

@@ -37,16 +37,16 @@ class Grid:
 
     def __init__(self, volume: Volume):
         emission = volume.emission_channels()
-        bounds = [found for found in map(filled_bounds, (volume.density, *emission)) if found is not None]
+        bounds = [box for box in map(filled_bounds, (volume.density, *emission)) if box is not None]
         if not bounds:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
         low = np.min([first for first, _ in bounds], axis=0)
         high = np.max([end for _, end in bounds], axis=0)
         times = 1 if isinstance(volume.density, SparseGrid) else refinement(high - low)
-        self.density = _part(volume.density, low, high, times)
-        self.emission = [_part(channel, low, high, times) for channel in emission]
+        self.density = _cropped(volume.density, low, high, times)
+        self.emission = [_cropped(channel, low, high, times) for channel in emission]
         self.emission_power = volume.emission_power
-        self.scattering = [_part(channel, low, high, times) for channel in volume.scattering or ()]
+        self.scattering = [_cropped(channel, low, high, times) for channel in volume.scattering or ()]
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
         self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
         self.shape, self.peak = self.density.shape, self.density.peak
@@ -62,16 +62,16 @@ class Grid:
     def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
         """Optical depth towards each sun; directions: unit vectors (3,) in the world.
 
-        Those of the last call are cached. Raises Cancelled.
+        The depths of the last call are cached. Raises Cancelled.
         """
         index_directions = [self.linear @ direction for direction in directions]
         with cancel.locked(self._lock):
-            known, self._sun_depths = self._sun_depths, {}
+            previous, self._sun_depths = self._sun_depths, {}
             for direction in index_directions:
                 cancel.check()
                 key = bytes(direction)
                 if key not in self._sun_depths:
-                    self._sun_depths[key] = known.get(key) or SunOpticalDepth(self.density, direction, cancel)
+                    self._sun_depths[key] = previous.get(key) or SunOpticalDepth(self.density, direction, cancel)
             return [self._sun_depths[bytes(direction)] for direction in index_directions]
 
     def index(self, world: np.ndarray) -> np.ndarray:
@@ -91,9 +91,9 @@ class Grid:
         """Cells outside of which density and emission are 0, bool (x, y, z), and the world positions
         (x + 1, y + 1, z + 1, 3) of their corners.
         """
-        held, faces = self.occupancy.support()
-        places = np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
-        return held, product(places - self.offset, inverse(self.linear).T)
+        cells, faces = self.occupancy.support()
+        corners = np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
+        return cells, product(corners - self.offset, inverse(self.linear).T)
 
     def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,) at which world rays (N, 3) enter and leave the support; entry > exit on a miss."""
@@ -108,7 +108,7 @@ class Grid:
         return self.scattering[channel if len(self.scattering) == 3 else 0] if self.scattering else self.density
 
 
-def _part(values: np.ndarray | SparseGrid, low: np.ndarray, high: np.ndarray, times: int) -> DenseGrid | SparseGrid:
+def _cropped(values: np.ndarray | SparseGrid, low: np.ndarray, high: np.ndarray, times: int) -> DenseGrid | SparseGrid:
     """Voxels from low (3,) to before high (3,), those of an array refined `times` times."""
     if isinstance(values, SparseGrid):
         return values.crop(low, high)

@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cells that hold something, and those around them."""
+"""Cells that hold density, and those around them."""
 
 import numpy as np
 
 
 def box_of(density: np.ndarray, margin: int = 0) -> tuple[slice, ...]:
-    """Along each axis the cells between the first and the last that hold density, at least two, and some around them.
+    """Slices along each axis around the cells that hold density: at least two cells, and a margin on each side.
 
-    density: (x, y, z), with two cells or more along each axis. margin: cells on each side, as far as there are any.
+    density: (x, y, z), with two cells or more along each axis. margin: in cells, cut at the edges of the array.
     """
-    parts = []
+    box = []
     for axis, count in enumerate(density.shape):
-        held = np.flatnonzero(density.max(axis=tuple(other for other in range(3) if other != axis)) > 0.0)
-        first, end = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 2)
+        filled = np.flatnonzero(density.max(axis=tuple(a for a in range(3) if a != axis)) > 0.0)
+        first, end = (int(filled[0]), int(filled[-1]) + 1) if len(filled) else (0, 2)
         first = min(first, count - 2)
-        parts.append(slice(max(first - margin, 0), min(max(end, first + 2) + margin, count)))
-    return tuple(parts)
+        box.append(slice(max(first - margin, 0), min(max(end, first + 2) + margin, count)))
+    return tuple(box)
 
 
-def with_neighbours(held: np.ndarray) -> np.ndarray:
-    """Cells bool (x, y, z) that are held or touch one that is, be it by a corner."""
-    near = np.pad(held, 1)
+def with_neighbours(filled: np.ndarray) -> np.ndarray:
+    """Filled cells and the 26 neighbours of each: bool (x, y, z)."""
+    near = np.pad(filled, 1)
     for axis in range(3):
         moved = np.moveaxis(near, axis, 0)
         near = np.moveaxis(moved[:-2] | moved[1:-1] | moved[2:], 0, axis)

@@ -3,8 +3,8 @@
 
 Around the lamp, space is divided into six pyramids, by the index axis along which a point is farthest from it. Each
 stores optical depths from the lamp on slices across its axis, in columns along the lamp's rays, which start from one
-point: the columns of a slice are those of the next one, closer together. As for suns, one sweep goes through the planes
-of voxel centres; each is interpolated once, cubically, at the columns, and adds to the slices before and after it.
+point: the columns of a slice are those of the next, closer together. As for suns, one sweep goes through the planes of
+voxel centres; each is interpolated once, cubically, at the columns, and adds to the slices before and after it.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ THIN_VOXEL = 0.35
 CLOSEST = 1e-6
 # Optical depth of a sphere's radius from which on its light does not start at points.
 THIN_SPHERE = 1e-3
-# Directions, the corners, edges and faces of a cube, and places along them in which the density of a sphere is read.
+# Directions to the corners, edges and faces of a cube, and radii at which the density of a sphere is read along them.
 DIRECTIONS = np.stack(np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3, indexing="ij")).reshape(3, -1)[:, np.arange(27) != 13]
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=0)
 RADII = (np.arange(8) + 0.5) / 8.0
@@ -60,7 +60,7 @@ class _Pyramid:
 
     @property
     def number(self) -> int:
-        """Its place among the six."""
+        """Index among the six pyramids."""
         return 2 * self.axis + (self.sign < 0.0)
 
     @property
@@ -71,7 +71,7 @@ class _Pyramid:
         return np.where(stored, -(-numbers // self.every), 0)
 
     def ways(self, lamp: np.ndarray) -> np.ndarray:
-        """Distances along the axis (P, 2) from each plane to the one before and the one after it; lamp: (3,), index."""
+        """Distances along the axis (P, 2) from each plane to the planes before and after it; lamp: (3,), index."""
         along = self.sign * (self.planes - lamp[self.axis])
         ends = np.diff(along, prepend=self.starts[0])
         return np.stack([ends, np.append(ends[1:], 0.0)], axis=1)
@@ -91,10 +91,10 @@ class _Pyramid:
 class LampOpticalDepth:
     """Optical depth through one grid towards a lamp, for an extinction of 1 per unit density and world unit.
 
-    Of a lamp with a radius it is -ln of the mean transmittance to that side of it which a point sees; the matter within
-    it is taken to be even. grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous indices from
-    world positions. source: of the lamp's light, in the world. apart: voxels from one column to the next where they
-    leave the grid. Raises Cancelled.
+    For a lamp with a radius the depth is -ln of the mean transmittance to the side that a point sees; the density
+    within the lamp counts as uniform. grid: DenseGrid or SparseGrid. linear: (3, 3) and offset: (3,), continuous
+    indices from world positions. source: of the lamp's light, in the world. apart: voxels from one column to the next
+    where they leave the grid. Raises Cancelled.
     """
 
     def __init__(
@@ -112,8 +112,8 @@ class LampOpticalDepth:
         self._around = self._density_around(linear) if source.radius > 0.0 else 0.0
         self.longest = float(np.linalg.norm(self.world_from_index, axis=0).max())
         self._apart = apart
-        found = [self._pyramid(axis, sign) for axis in range(3) for sign in (1.0, -1.0)]
-        self.pyramids = [pyramid for pyramid in found if pyramid is not None]
+        pyramids = [self._pyramid(axis, sign) for axis in range(3) for sign in (1.0, -1.0)]
+        self.pyramids = [pyramid for pyramid in pyramids if pyramid is not None]
         for pyramid in self.pyramids:
             self._fill(pyramid, cancel)
 
@@ -123,7 +123,7 @@ class LampOpticalDepth:
         return float(self.grid.sample((self.centre[:, None, None] + away).reshape(3, -1).astype(np.float32)).mean())
 
     def _excess(self, sigma_t: float, forward: float) -> np.ndarray | None:
-        """As of `excess_depths`; None where the light may as well start at points."""
+        """`excess_depths` of this lamp; None where its sphere is so thin that light may start at points."""
         thickness = self._around * self.source.radius * sigma_t
         if thickness <= THIN_SPHERE:
             return None
@@ -131,7 +131,7 @@ class LampOpticalDepth:
         return excess_depths(thickness, self.source.soft_falloff, apart, forward)
 
     def _pyramid(self, axis: int, sign: float) -> _Pyramid | None:
-        """One of the six, to be filled, or None where it holds nothing of the grid."""
+        """A pyramid whose depths are 0, or None where it misses the grid."""
         low, high = np.full(3, -1.0) - self.lamp, np.array(self.grid.shape, np.float64) - self.lamp
         near, far = sorted((sign * low[axis], sign * high[axis]))
         if far <= CLOSEST:
@@ -148,7 +148,7 @@ class LampOpticalDepth:
         width = np.array([most - least for least, most in slopes])
         count = np.clip(np.ceil(width * far / self._apart).astype(int) + 1, 2, MAX_COLUMNS)
         spacing = width / (count - 1)
-        begin, end = (int(np.ceil(place + sign * self.lamp[axis] - CLOSEST)) for place in (near, far))
+        begin, end = (int(np.ceil(distance + sign * self.lamp[axis] - CLOSEST)) for distance in (near, far))
         planes = int(sign) * np.arange(begin, end + 1)
         along = sign * (planes - self.lamp[axis])
         start = 0.0 if near == CLOSEST else near
@@ -167,10 +167,10 @@ class LampOpticalDepth:
         b, c = (self.grid.shape[axis] for axis in pyramid.others)
         scratch = np.empty(5 * running.shape[1] + c + 6 + b * c, np.float32)
         cells = np.empty(running.shape[1], np.int32)
-        each = max(CELLS_PER_CALL // max(running.size, b * c), 1)
-        for start in range(0, len(slices), each):
+        planes_per_call = max(CELLS_PER_CALL // max(running.size, b * c), 1)
+        for start in range(0, len(slices), planes_per_call):
             cancel.check()
-            part = slice(start, start + each)
+            batch = slice(start, start + planes_per_call)
             call(
                 "fill_lamp_columns",
                 density=describe_grid(self.grid),
@@ -178,10 +178,10 @@ class LampOpticalDepth:
                 axis=pyramid.axis,
                 lamp=self.lamp,
                 inside=inside and not start,
-                planes=len(slices[part]),
-                numbers=pyramid.planes[part].astype(np.int64),
-                slices=slices[part].astype(np.int64),
-                ways=np.ascontiguousarray(ways[part]),
+                planes=len(slices[batch]),
+                numbers=pyramid.planes[batch].astype(np.int64),
+                slices=slices[batch].astype(np.int64),
+                ways=np.ascontiguousarray(ways[batch]),
                 running=running,
                 scratch=scratch,
                 cells=cells,
@@ -192,7 +192,7 @@ class LampOpticalDepth:
         pyramids = [structures.Pyramid() for _ in range(6)]
         for pyramid in self.pyramids:
             pyramids[pyramid.number] = pyramid.described()
-        found = structures.LampColumns(
+        columns = structures.LampColumns(
             density=describe_grid(self.grid),
             pyramids=(structures.Pyramid * 6)(*pyramids),
             lamp=self.lamp,
@@ -206,11 +206,11 @@ class LampOpticalDepth:
             uneven=self._uneven(forward),
             excess=self._excess(sigma_t, forward),
         )
-        found.kept += pyramids
-        return found
+        columns.kept += pyramids
+        return columns
 
     def _uneven(self, forward: float) -> bool:
-        """Whether what light of a sphere passes more than points give varies with the density on its way."""
+        """Whether the excess depth varies with the density along the ray."""
         return self.source.soft_falloff and forward > 0.0
 
     def _thick(self, sigma_t: float) -> bool:
@@ -218,33 +218,32 @@ class LampOpticalDepth:
         return bool(self.grid.peak * sigma_t * self.longest > THIN_VOXEL)
 
     def outwards(self, sigma_t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Optical depths (N,) from the lamp out of the grid, and the share (N,) of all directions that each stands for.
+        """Optical depths (N,) from the lamp out of the grid, and the fractions (N,) of all directions they stand for.
 
-        The shares add up to less than 1 where some of the lamp's rays miss the grid.
+        The fractions sum to less than 1 where rays from the lamp miss the grid.
         """
-        depths, shares = [np.zeros(0)], [np.zeros(0)]
+        depths, fractions = [np.zeros(0)], [np.zeros(0)]
         for pyramid in self.pyramids:
             u, v = (
                 first + space * np.arange(n)
                 for first, space, n in zip(pyramid.first, pyramid.spacing, pyramid.depths.shape[1:])
             )
-            way = np.zeros((3, len(u), len(v)))
-            way[pyramid.axis] = pyramid.sign
-            way[pyramid.others[0]], way[pyramid.others[1]] = u[:, None], v
-            length = np.linalg.norm(product(np.moveaxis(way, 0, -1), self.world_from_index.T), axis=-1)
+            rays = np.zeros((3, len(u), len(v)))
+            rays[pyramid.axis] = pyramid.sign
+            rays[pyramid.others[0]], rays[pyramid.others[1]] = u[:, None], v
+            length = np.linalg.norm(product(np.moveaxis(rays, 0, -1), self.world_from_index.T), axis=-1)
             depths.append((sigma_t * pyramid.depths[-1] * length).ravel())
             # Solid angles in the frame of the voxels; columns at an edge stand for half.
-            angle = (way**2).sum(axis=0) ** -1.5 * np.prod(pyramid.spacing) / (4.0 * np.pi)
+            angle = (rays**2).sum(axis=0) ** -1.5 * np.prod(pyramid.spacing) / (4.0 * np.pi)
             angle[[0, -1]] *= 0.5
             angle[:, [0, -1]] *= 0.5
-            shares.append(angle.ravel())
-        return np.concatenate(depths), np.concatenate(shares)
+            fractions.append(angle.ravel())
+        return np.concatenate(depths), np.concatenate(fractions)
 
     def __call__(self, index: np.ndarray, sigma_t: float, forward: float = 0.0) -> np.ndarray:
         """Optical depth float32 (N,) at continuous indices float32 (3, N), inside or outside the grid.
 
-        sigma_t: extinction per unit density and world unit, without the fraction `forward` of all of it that stands for
-        light that scatters straight on.
+        sigma_t: extinction per unit density and world unit, less the fraction `forward` that scatters straight on.
         """
         depth = np.empty(index.shape[1], np.float32)
         call(

@@ -14,7 +14,7 @@ from .dense_grid import DenseGrid
 from .grid import Grid
 from .resampling import INNER, Placement, resample
 
-# Albedos that differ by less are one.
+# Albedos that differ by less are equal.
 SAME_ALBEDO = 1e-6
 
 
@@ -24,7 +24,7 @@ def merge(
     name: str,
     cancel: CancelToken = NEVER,
 ) -> tuple[Volume, Medium]:
-    """One Volume and Medium with the extinction of several, and their mean albedo and mean cosine.
+    """Volume and Medium with the extinction of several volumes, and their mean albedo and mean cosine.
 
     grids: Grid of each volume. Voxels are those of the finest grid, or the smallest
     multiple of them that leaves at most 256 along an edge. The extinction is exact for grey media; for others each
@@ -67,14 +67,14 @@ def merge(
         channels = [0, 1, 2]
     scattering = [np.zeros(shape, np.float32) for _ in channels]
     for grid, factor, albedo in zip(grids, grey, albedos):
-        known: dict[int, np.ndarray] = {}
-        for c, whole in zip(channels, scattering):
-            part = grid.scattering_of(c)
-            if id(part) not in known:
-                known = {id(part): resampled(grid, part, world_from_index, shape, cancel)}
-            whole += np.float32(factor * (1.0 if grid.scattering else albedo[c])) * known[id(part)]
-    held = tuple(np.minimum(whole, density) for whole in scattering)
-    return Volume(density, world_from_index, name, scattering=held), medium
+        resampled_values: dict[int, np.ndarray] = {}
+        for c, channel in zip(channels, scattering):
+            source = grid.scattering_of(c)
+            if id(source) not in resampled_values:
+                resampled_values = {id(source): resampled(grid, source, world_from_index, shape, cancel)}
+            channel += np.float32(factor * (1.0 if grid.scattering else albedo[c])) * resampled_values[id(source)]
+    scattering = [np.minimum(channel, density) for channel in scattering]
+    return Volume(density, world_from_index, name, scattering=tuple(scattering)), medium
 
 
 def resampled(

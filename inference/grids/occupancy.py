@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which parts of a grid are empty, so that camera rays may skip them, and how dense the others are at most."""
+"""Which cells of a grid are empty, so that camera rays may skip them, and the largest density in the others."""
 
 import functools
 
@@ -19,7 +19,7 @@ class Occupancy:
     """
 
     def __init__(self, filled: np.ndarray, peaks: np.ndarray, cell: int, first: np.ndarray):
-        self.cell, self.first, self._held = cell, first, filled
+        self.cell, self.first, self._filled = cell, first, filled
         self._peaks = peaks
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
@@ -30,12 +30,12 @@ class Occupancy:
 
         The distance is along the axis along which it is largest, at most the true one, and at most 21.
         """
-        grown, found = self.filled, np.where(self.filled, np.uint8(0), np.uint8(1))
+        grown, clearance = self.filled, np.where(self.filled, np.uint8(0), np.uint8(1))
         distance = 1
         for by in (1, 1, 1, 1, 1, 1, 2, 4, 8):
             grown, distance = _grown(grown, by), distance + by
-            found[~grown] = distance
-        return found
+            clearance[~grown] = distance
+        return clearance
 
     @functools.cached_property
     def bounds(self) -> np.ndarray:
@@ -49,18 +49,18 @@ class Occupancy:
 
     def support(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of
-        their faces along each axis. No more than MOST_CELLS along any.
+        their faces along each axis. At most MOST_CELLS along each axis.
         """
-        # Interpolation reaches a voxel further: cells begin one voxel earlier, and the next one holds it, too.
-        held = np.pad(self._held, (0, 1))
+        # Interpolation reaches a voxel further: cells begin one voxel earlier, and the next cell holds it, too.
+        filled = np.pad(self._filled, (0, 1))
         for axis in range(3):
-            along = np.moveaxis(held, axis, 0)
+            along = np.moveaxis(filled, axis, 0)
             along[1:] |= along[:-1].copy()
-        times = -(-max(held.shape) // MOST_CELLS)
+        times = -(-max(filled.shape) // MOST_CELLS)
         for axis in range(3):
-            held = np.logical_or.reduceat(held, np.arange(0, held.shape[axis], times), axis=axis)
-        faces = [(np.arange(n + 1) * times * self.cell - first - 1.0) for n, first in zip(held.shape, self.first)]
-        return held, faces
+            filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], times), axis=axis)
+        faces = [(np.arange(n + 1) * times * self.cell - first - 1.0) for n, first in zip(filled.shape, self.first)]
+        return filled, faces
 
     def share(self) -> float:
         """Fraction of the cells that are filled or have a filled neighbour."""
@@ -86,7 +86,7 @@ class Occupancy:
 
 
 def _grown(cells: np.ndarray, by: int = 1) -> np.ndarray:
-    """The largest of the values of each cell and of those so many cells beside it along any axes."""
+    """Maximum over each cell and its neighbours up to `by` cells away along each axis."""
     for axis in range(3):
         around = np.moveaxis(cells, axis, 0)
         grown = around.copy()

@@ -74,20 +74,20 @@ def sweep(
     starts, taps, fractions = column_placement(shear, order, weights)
     columns = np.zeros(shear.size, np.float32)
     scratch = np.empty((slices.shape[1] + MORE) * (slices.shape[2] + MORE) + slices.shape[2] + 2 * MORE, np.float32)
-    each = max(CELLS_PER_CALL // slices[0].size, 1)
-    for start in range(0, len(order), each):
+    slices_per_call = max(CELLS_PER_CALL // slices[0].size, 1)
+    for start in range(0, len(order), slices_per_call):
         cancel.check()
-        part = slice(start, start + each)
+        batch = slice(start, start + slices_per_call)
         call(
             "sweep_columns",
             density=slices.ctypes.data,
             shape=np.array(slices.shape),
             strides=elements(slices),
-            count=len(order[part]),
-            slices=order[part],
-            starts=starts[part],
-            weights=taps[part],
-            fractions=fractions[part] if depths.shape == slices.shape else None,
+            count=len(order[batch]),
+            slices=order[batch],
+            starts=starts[batch],
+            weights=taps[batch],
+            fractions=fractions[batch] if depths.shape == slices.shape else None,
             half_step=shear.half_step * step_length,
             columns=columns,
             size=np.array(shear.size),
@@ -103,7 +103,7 @@ def sweep(
 def column_placement(shear: Shear, slices: np.ndarray, weights: Weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where slices meet the columns: first column int (n, 2), weights float32 (n, 2, 4) and fractions (n, 2)."""
     shifts = [shear.shift(int(index)) for index in slices]
-    starts = np.array([[-whole - BEFORE - first for whole, first in zip(w, shear.first)] for w, _ in shifts], np.int64)
+    starts = np.array([[-cells - BEFORE - first for cells, first in zip(w, shear.first)] for w, _ in shifts], np.int64)
     taps = np.array([[weights(fraction) for fraction in f] for _, f in shifts], np.float32)
     return starts, taps, np.array([f for _, f in shifts], np.float32)
 

@@ -22,17 +22,17 @@ INNER = np.stack(np.meshgrid(*[[-0.25, 0.25]] * 3, indexing="ij"), axis=-1).resh
 class Placement:
     """Where the voxels of one grid lie in another.
 
-    linear: (3, 3) and offset: (3,), continuous indices of the other grid from voxels. places: (P, 3), points around the
-    centre of each voxel whose values are averaged, in those indices.
+    linear: (3, 3) and offset: (3,), continuous indices of the other grid from voxels. points: (P, 3), offsets
+    from the centre of each voxel to the points that are averaged, in those indices.
     """
 
     linear: np.ndarray
     offset: np.ndarray
-    places: np.ndarray
+    points: np.ndarray
 
     def beside(self, first: np.ndarray) -> "Placement":
-        """The same for voxels that count from another first one, int (3,)."""
-        return Placement(self.linear, self.offset + self.linear @ first, self.places)
+        """The placement of voxels that count from `first`, int (3,)."""
+        return Placement(self.linear, self.offset + self.linear @ first, self.points)
 
 
 def resample(
@@ -47,20 +47,20 @@ def resample(
 
     occupancy: of the grid. Raises Cancelled.
     """
-    each = max(POINTS_PER_BATCH // max(out[:1].size * len(placement.places), 1), 1)
-    for start in range(0, len(out), each):
+    planes_per_call = max(POINTS_PER_BATCH // max(out[:1].size * len(placement.points), 1), 1)
+    for start in range(0, len(out), planes_per_call):
         cancel.check()
-        part, placed = out[start : start + each], placement.beside(np.array([start, 0, 0]))
+        planes, placed = out[start : start + planes_per_call], placement.beside(np.array([start, 0, 0]))
         call(
             "resample",
             grid=describe_grid(grid),
             occupancy=describe_occupancy(occupancy),
             power=power,
-            shape=np.array(part.shape),
+            shape=np.array(planes.shape),
             linear=placed.linear,
             offset=placed.offset,
-            points=len(placed.places),
-            places=np.ascontiguousarray(placed.places, np.float64),
-            out=part.ctypes.data,
-            strides=np.array(part.strides) // part.itemsize,
+            points=len(placed.points),
+            places=np.ascontiguousarray(placed.points, np.float64),
+            out=planes.ctypes.data,
+            strides=np.array(planes.strides) // planes.itemsize,
         )

@@ -37,12 +37,12 @@ class SparseColumns:
         plane, latest = np.zeros(self.size, np.float32), np.zeros(plan.shape, np.int32)
         columns = plane.reshape(plan.shape[0], EDGE, plan.shape[1], EDGE).swapaxes(1, 2)
         free = 1
-        for slab, touched, left in plan.rows():
+        for slab, touched, ending in plan.rows():
             cancel.check()
             # Tiles that the last row changed and this row does not keep their present depths.
-            ended, count = int(left.sum()), int(touched.sum())
-            self.tiles[free : free + ended] = np.maximum(columns[left], 0.0)
-            latest[left] = 2 * np.arange(free, free + ended)
+            ended, count = int(ending.sum()), int(touched.sum())
+            self.tiles[free : free + ended] = np.maximum(columns[ending], 0.0)
+            latest[ending] = 2 * np.arange(free, free + ended)
             free += ended
             latest[touched] = 2 * (free + EDGE * np.arange(count)) + 1
             own = self.tiles[free : free + EDGE * count].reshape(count, EDGE, EDGE, EDGE)

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Optical depth of the light of a sphere in the matter around it, beyond that from the places that stand for it.
+"""Optical depth of the light of a sphere in the matter around it, less that from the points that stand for the sphere.
 
-Columns of optical depth start at points. The light of a sphere starts at that side of its surface which is seen, that
-of a soft falloff on a disk that faces what it lights. Far away, light that seems to come from a point starts as far
-before or behind it as the surface lies; near, or within, its mean transmittance in a homogeneous medium is
+Columns of optical depth start at points. The light of a sphere starts on the visible side of its surface; with a soft
+falloff, on a disk that faces the lit point. Far away, light that seems to come from a point starts as far before or
+behind it as the surface lies; near the sphere, or within, the mean transmittance in a homogeneous medium is
 
     T(d) = 1 / |W| int_W exp(-s l(w)) dw,
 
-over the directions W in which a place at a distance d from the centre sees the surface, with l(w) the way to it and s
-the extinction. `excess_depths` are -ln T less what the points give. Lengths here are in radii, s is an optical depth
-per radius.
+over the directions W in which a point at a distance d from the centre sees the surface, with l(w) the distance to it
+and s the extinction. `excess_depths` are -ln T less the depths from the points. Lengths here are in radii, s is an
+optical depth per radius.
 
 Where light in the forward peak of the phase function, a fraction a of what is scattered, counts as unscattered, too,
 its extinction is s (1 - a), if each collision is counted. The light of a soft falloff is weaker near its middle than
@@ -17,7 +17,7 @@ that of a point, a fraction q(d) = 2 d^2 (1 - d / sqrt(d^2 + 1)) of it, and so a
 
     T(d) + a / q(d) int_0^d s q(x) T(x) exp(-(1 - a) s (d - x)) dx.
 
-Where the density varies, what this adds is in proportion to the density on the first part of the way.
+Where the density varies, the second term is in proportion to the density on the first part of the ray.
 """
 
 import numpy as np
@@ -27,14 +27,14 @@ from ..scene.emitters import light_start
 
 #: Number of nodes of a table, even in d / (1 + d); kernels hold it, too.
 NODES = 64
-#: Where the density varies, depths are in proportion to the mean on so many radii of the way, over that around the
-#: sphere, up to a limit; measured. The kernel holds both.
+#: Where the density varies, depths are in proportion to the mean density on the first radii of the ray, over the mean
+#: around the sphere, up to a limit; measured. The kernel holds both.
 FIRST_PART, EXCESS_MOST = 3.0, 1.5
 # Nodes of quadratures, and the distance that stands for infinity.
 QUADRATURE, FAR = 48, 1e4
 # Nodes between two of these distances, for the integral over collisions.
 BETWEEN, CLOSE_NODES = np.concatenate([[0.0], np.geomspace(1e-3, FAR, 192)]), 4
-# Light that is none.
+# Stands for no light in logarithms.
 NOTHING = 1e-300
 
 
@@ -42,8 +42,7 @@ def excess_depths(thickness: float, soft_falloff: bool, apart: float, forward: f
     """Optical depths float32 (NODES,) to be added to those from `light_start`, at distances even in d / (1 + d).
 
     thickness: optical depth of a radius, less the fraction `forward` that counts as unscattered. soft_falloff: as of
-    PointLight. apart: distance from the centre, in radii, of the points that light seems to come from; 0 for one in the
-    centre.
+    PointLight. apart: distance in radii from the centre to the points that light seems to come from.
     """
     distance, (nodes, weights) = _distances()[:, None], _nodes(QUADRATURE)
     if soft_falloff and forward > 0.0:
@@ -58,18 +57,18 @@ def excess_depths(thickness: float, soft_falloff: bool, apart: float, forward: f
 
 
 def start_depths(thickness: float) -> np.ndarray:
-    """Optical depths float64 (NODES,) behind which the light of a soft falloff starts to be scattered, as if at once.
+    """Optical depths float64 (NODES,) from the start to where light of a soft falloff begins to scatter, all at once.
 
-    At distances even in d / (1 + d). thickness: optical depth of a radius. They are those for which all light that has
-    been scattered forward at a distance is what light that starts behind them has been, exactly where no light is lost.
+    At distances even in d / (1 + d). thickness: optical depth of a radius. Light that begins there has scattered
+    forward as much as the light of the falloff; exact where no light is lost.
     """
     return -_log_arriving(thickness, 1.0)
 
 
 def _distances() -> np.ndarray:
     """Distances (NODES,), even in d / (1 + d)."""
-    share = np.arange(NODES) / (NODES - 1.0)
-    return np.minimum(share / np.maximum(1.0 - share, 1e-9), FAR)
+    fraction = np.arange(NODES) / (NODES - 1.0)
+    return np.minimum(fraction / np.maximum(1.0 - fraction, 1e-9), FAR)
 
 
 def _nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -81,8 +80,8 @@ def _nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
 def _log_surface(thickness: float, distance: np.ndarray, soft_falloff: bool) -> np.ndarray:
     """ln (N,) of the mean transmittance to a surface at distances (N, 1), over that of the distance itself."""
     nodes, weights = _nodes(QUADRATURE)
-    longer, seen = _disk_ways(distance, nodes) if soft_falloff else _sphere_ways(distance, nodes)
-    return _log_mean(-thickness * longer, seen * weights)
+    longer, solid_angles = _disk_ways(distance, nodes) if soft_falloff else _sphere_ways(distance, nodes)
+    return _log_mean(-thickness * longer, solid_angles * weights)
 
 
 def _falloff(distance: np.ndarray) -> np.ndarray:
@@ -92,13 +91,13 @@ def _falloff(distance: np.ndarray) -> np.ndarray:
 
 
 def _log_arriving(thickness: float, forward: float) -> np.ndarray:
-    """ln (NODES,) of what arrives from a soft falloff without a turn, over exp(-(1 - a) s d)."""
+    """ln (NODES,) of the unscattered and forward-scattered light of a soft falloff, over exp(-(1 - a) s d)."""
     distance = _distances()
     ends, (nodes, weights) = np.unique(np.concatenate([BETWEEN, distance])), _nodes(CLOSE_NODES)
     steps = np.diff(ends)
-    places = (ends[:-1, None] + steps[:, None] * nodes).ravel()
-    turned = np.exp(_log_surface(thickness, places[:, None], True) - forward * thickness * places)
-    collisions = (thickness * _falloff(places) * turned).reshape(-1, CLOSE_NODES) @ weights * steps
+    distances = (ends[:-1, None] + steps[:, None] * nodes).ravel()
+    turned = np.exp(_log_surface(thickness, distances[:, None], True) - forward * thickness * distances)
+    collisions = (thickness * _falloff(distances) * turned).reshape(-1, CLOSE_NODES) @ weights * steps
     collided = np.concatenate([[0.0], np.cumsum(collisions)])[np.searchsorted(ends, distance)]
     straight = np.exp(_log_surface(thickness, distance[:, None], True) - forward * thickness * distance)
     more = np.divide(forward * collided, _falloff(distance), out=np.zeros(NODES), where=distance > 0.0)
@@ -106,14 +105,14 @@ def _log_arriving(thickness: float, forward: float) -> np.ndarray:
 
 
 def _disk_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ways to a disk of radius 1 that faces points, less the distance (N, 1), and shares of its solid angle, (N, Q)."""
+    """Distances to a disk of radius 1 that faces points, less that to its centre (N, 1), and solid angles, (N, Q)."""
     # 1 / cos(b) to the power of the nodes, so that they are dense where ways are short.
     log = 0.5 * np.log1p(1.0 / np.maximum(distance, 1e-6) ** 2)
     return distance * np.expm1(log * nodes), np.exp(-log * nodes)
 
 
 def _sphere_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ways to the visible side of a sphere of radius 1, or from within, as `_disk_ways`."""
+    """The same for the visible side of a sphere of radius 1, or its inside, as `_disk_ways`."""
     # Outside, nodes are cosines to the normal of the surface; within, to the direction from the centre.
     slant = np.sqrt(np.maximum(distance**2 - 1.0, 0.0) + nodes**2)
     outside = (nodes**2 - 1.0) / (slant + distance) - nodes

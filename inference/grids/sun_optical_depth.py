@@ -32,10 +32,10 @@ MAX_DEPTH = 30.0
 
 @dataclass(frozen=True)
 class Integration:
-    """How the optical depth is found where voxels have some optical thickness.
+    """How the optical depth is computed where voxels are optically thick.
 
-    slices: that are integrated, 0 for none. everywhere: whether at every point, or only where the sun and the camera
-    are visible. steep: whether integrals are split at planes of voxel centres.
+    slices: number that is integrated, 0 for none. everywhere: whether at every point, or only where the sun and the
+    camera are visible. steep: whether integrals are split at planes of voxel centres.
     """
 
     slices: int
@@ -64,7 +64,7 @@ class SunOpticalDepth:
             self.columns = DenseColumns(grid.padded, direction, cancel)
 
     def integration(self, sigma_t: float) -> Integration:
-        """How the optical depth is found for an extinction per unit density and world unit."""
+        """How the optical depth is computed for an extinction per unit density and world unit."""
         thickest = self.peak * sigma_t * float(self.length)
         if thickest < THIN_SLICE:
             return Integration(0, everywhere=False, steep=False)

@@ -134,7 +134,7 @@ def _mean_cells(
         grid = structures.Grid(values=np.ascontiguousarray(density, np.float32), shape=np.array(density.shape))
     firsts, weights = bands
     widths, n, voxels = [band.shape[1] for band in weights], LEVEL0_CELLS, cube.high - cube.low
-    held = np.full(widths[0], -1, np.int64)
+    planes = np.full(widths[0], -1, np.int64)
     scratch = np.empty(widths[0] * n * n + voxels[1] * (voxels[2] + n), np.float32)
     for start in range(0, n, PLANES):
         cancel.check()
@@ -151,7 +151,7 @@ def _mean_cells(
             end=start + PLANES,
             out=cells.ctypes.data,
             strides=np.array(cells.strides) // cells.itemsize,
-            held=held,
+            held=planes,
             scratch=scratch,
         )
 

@@ -199,7 +199,7 @@ typedef struct {
     const float *values;
     int64_t shape[3];
     const int32_t *below[3];     /* cell below each fine cell, along each axis */
-    const float *share[3];       /* of the next one */
+    const float *fraction[3];    /* of the next one */
 } Refinement;
 
 /* Planes of a lattice that descriptors read: mip_lattices.build_lattices. */

@@ -149,14 +149,14 @@ static inline float log_of(float x) {
 static void refine_row(const Refinement *grid, int64_t i, int64_t j, int64_t count, float *line, float *row) {
     int64_t columns = grid->shape[2], slab = grid->shape[1] * columns;
     const float *at = grid->values + grid->below[0][i] * slab + grid->below[1][j] * columns;
-    float f = grid->share[0][i], g = grid->share[1][j];
+    float f = grid->fraction[0][i], g = grid->fraction[1][j];
     for (int64_t c = 0; c < columns; c++) {
         float low = lerp(at[c], at[slab + c], f), high = lerp(at[columns + c], at[slab + columns + c], f);
         line[c] = lerp(low, high, g);
     }
     const int32_t *below = grid->below[2];
-    const float *share = grid->share[2];
-    for (int64_t k = 0; k < count; k++) row[k] = lerp(line[below[k]], line[below[k] + 1], share[k]);
+    const float *fraction = grid->fraction[2];
+    for (int64_t k = 0; k < count; k++) row[k] = lerp(line[below[k]], line[below[k] + 1], fraction[k]);
 }
 
 /* The whole number, up to 65535, that is nearest to x. */

@@ -3,9 +3,9 @@
 
 Multiple scattering varies smoothly along a ray, and its integral over the ray's opacity is computed by Gauss-Legendre
 quadrature: n depths integrate polynomials of degree 2n - 1 exactly, where as many equal strata integrate only straight
-lines. That of a lamp close by does not. On rays of more detail the share of opacity that each node stands for is
-divided into equal parts, sampled in their middles but for the one that holds the node: what is smooth still has the
-nodes for itself.
+lines. Light of a lamp close by is not smooth. On rays of more detail the interval of opacity that each node stands for
+is divided into equal strata. They are sampled in their middles, except that the stratum that holds the node is sampled
+at the node: smooth light still has the full quadrature.
 """
 
 import functools
@@ -18,7 +18,7 @@ from ..numerics.quadrature import legendre_nodes
 from ..numerics.small_matmul import product
 from .ray_features import RayFeatures
 
-# Rays of less opacity are not sampled.
+# Rays below this opacity are not sampled.
 MIN_ALPHA = 1e-4
 # Sample counts above this are rounded up to multiples of it, because computing their nodes takes time.
 COARSE_COUNT = 16
@@ -47,17 +47,17 @@ def entry_point(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def divided(quadrature: tuple[np.ndarray, np.ndarray], detail: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes (n detail,) ascending and weights of a quadrature whose nodes' shares are divided; places (n,) of its own.
+    """Positions (n detail,) ascending and weights of the strata of a quadrature, and indices (n,) of its nodes in them.
 
-    quadrature: nodes and weights (n,), each node within its share of [0, 1].
+    quadrature: nodes and weights (n,), each node within its interval of [0, 1].
     """
     nodes, weights = quadrature
-    parts = np.arange(detail)
-    part, begin = weights[:, None] / detail, np.append(0.0, np.cumsum(weights)[:-1])[:, None]
-    low = begin + parts * part
-    holds = ((parts == 0) | (nodes[:, None] >= low)) & ((parts + 1 == detail) | (nodes[:, None] < low + part))
-    found = np.where(holds, nodes[:, None], low + 0.5 * part)
-    return found.ravel(), np.repeat(part.ravel(), detail), np.flatnonzero(holds)
+    number = np.arange(detail)
+    width, begin = weights[:, None] / detail, np.append(0.0, np.cumsum(weights)[:-1])[:, None]
+    low = begin + number * width
+    holds = ((number == 0) | (nodes[:, None] >= low)) & ((number + 1 == detail) | (nodes[:, None] < low + width))
+    positions = np.where(holds, nodes[:, None], low + 0.5 * width)
+    return positions.ravel(), np.repeat(width.ravel(), detail), np.flatnonzero(holds)
 
 
 @dataclass
@@ -65,8 +65,8 @@ class DepthSamples:
     """Depth samples along camera rays, ray after ray.
 
     pixel: int (P,), of each ray, ascending. origins, directions: float64 (P, 3). offsets: (P,) in [0, 1), jitter of
-    each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), share of each
-    volume in the extinction. features: for networks that need them, or None. lamp_features: the same of lamps.
+    each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), of the extinction
+    in each volume. features: for networks that need them, or None. lamp_features: the same of lamps.
     scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. detail: int (P,), as of RayBatch, or
     None.
     """
@@ -101,58 +101,58 @@ class DepthSamples:
     def _nodes(self) -> "DepthSamples":
         assert self.detail is not None
         sampled = np.arange(len(self.starts))
-        kept = np.sort(np.concatenate([self.ray[:0], *(samples.ravel() for _, samples, _ in self._alike(sampled))]))
-        detail = self.detail[self.ray[kept]]
+        at_nodes = np.sort(np.concatenate([self.ray[:0], *(samples.ravel() for _, samples, _ in self._alike(sampled))]))
+        detail = self.detail[self.ray[at_nodes]]
         return DepthSamples(
             pixel=self.pixel,
             origins=self.origins,
             directions=self.directions,
             offsets=self.offsets,
-            ray=self.ray[kept],
-            distance=self.distance[kept],
-            weight=self.weight[kept] * detail,
-            fraction=self.fraction[kept],
-            features=None if self.features is None else RayFeatures(self.features.values[kept]),
-            lamp_features=None if self.lamp_features is None else RayFeatures(self.lamp_features.values[kept]),
-            scattering=None if self.scattering is None else self.scattering[kept],
+            ray=self.ray[at_nodes],
+            distance=self.distance[at_nodes],
+            weight=self.weight[at_nodes] * detail,
+            fraction=self.fraction[at_nodes],
+            features=None if self.features is None else RayFeatures(self.features.values[at_nodes]),
+            lamp_features=None if self.lamp_features is None else RayFeatures(self.lamp_features.values[at_nodes]),
+            scattering=None if self.scattering is None else self.scattering[at_nodes],
         )
 
     def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Sampled rays (S,), by number, whose nodes are the same ones, together: their places among these, their
-        samples at nodes (R, n), and the nodes (n,) in the opacity."""
+        """Groups of sampled rays (S,), by number, with the same nodes: indices (R,) in `sampled`, samples at nodes
+        (R, n), and the nodes (n,) in the opacity."""
         starts, counts = self.starts[sampled], self.counts[sampled]
         details = np.ones_like(counts) if self.detail is None else self.detail[self.ray[starts]]
         most = int(details.max(initial=1)) + 1
-        for kind in np.flatnonzero(np.bincount(counts * most + details)):
-            count, detail = divmod(int(kind), most)
+        for number in np.flatnonzero(np.bincount(counts * most + details)):
+            count, detail = divmod(int(number), most)
             quadrature = gauss_legendre(count // detail)
-            places = divided(quadrature, detail)[2] if detail > 1 else np.arange(count)
+            offsets = divided(quadrature, detail)[2] if detail > 1 else np.arange(count)
             rays = np.flatnonzero((counts == count) & (details == detail))
-            yield rays, starts[rays, None] + places, quadrature[0]
+            yield rays, starts[rays, None] + offsets, quadrature[0]
 
     def positions(self, samples: np.ndarray | slice) -> np.ndarray:
-        """World positions (N, 3) of some samples."""
+        """World positions (N, 3) of samples."""
         ray = self.ray[samples]
         return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
 
     def share(self, members: Sequence[int]) -> np.ndarray:
-        """Share float32 (M,) of some volumes in the extinction at each sample."""
-        # numpy is slow to sum along an axis of one.
+        """Fraction float32 (M,) of the extinction at each sample that the member volumes have."""
+        # numpy is slow to sum along an axis of length 1.
         return self.fraction[:, members[0]] if len(members) == 1 else self.fraction[:, members].sum(axis=1)
 
     def scattered(
-        self, samples: np.ndarray | slice, members: Sequence[int], factors: np.ndarray, places: Sequence[int]
+        self, samples: np.ndarray | slice, members: Sequence[int], factors: np.ndarray, columns: Sequence[int]
     ) -> np.ndarray:
-        """Weights (N, C) of what some volumes scatter at some samples in C colour channels.
+        """Weights (N, C) of the light that the member volumes scatter at samples in C colour channels.
 
-        factors: float32 (V, C) of each of these volumes. places: of each channel among those of `scattering`.
+        factors: float32 (V, C) of each member. columns: index of each channel in `scattering`.
         """
         weight = self.weight[samples, None]
         if self.scattering is None and len(members) == 1:
             return weight * self.fraction[samples, members[0], None] * factors
         if self.scattering is None:
             return weight * product(self.fraction[samples][:, members], factors)
-        scattering = self.scattering[samples][:, members][:, :, places]
+        scattering = self.scattering[samples][:, members][:, :, columns]
         return weight * np.einsum("nvc,vc->nc", scattering, factors)
 
     def jitter(self, samples: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ class DepthSamples:
     def optical_depths(self) -> tuple[np.ndarray, np.ndarray]:
         """Optical depth (M,) between the camera and each sample, and of its whole ray.
 
-        Of samples without detail, Gauss-Legendre nodes in the opacity of rays, which their weights sum to.
+        For samples without detail, which are Gauss-Legendre nodes in the opacity of rays; their weights sum to it.
         """
         nodes = np.zeros(len(self.ray))
         for _, samples, opacities in self._alike(np.arange(len(self.starts))):
@@ -175,33 +175,32 @@ class DepthSamples:
         alpha = np.repeat(alpha, self.counts)
         return -np.log1p(-nodes * alpha), -np.log1p(-alpha)
 
-    def standard_error(self, parts: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors of the sums over some rays of weighted values: the rays' pixels (S,), and errors (S,).
+    def standard_error(self, values: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard errors of the sums of weighted values over rays: the rays' pixels (S,), and errors (S,).
 
-        parts: (M,), weighted values. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of
-        the Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them;
-        noise contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a
-        lattice. With one sample the error is taken to be the sum itself. Of rays of more detail it is as much less as
-        they have more samples.
+        values: (M,), weighted. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of the
+        Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them; noise
+        contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a lattice.
+        With one sample the error is the sum itself. On rays of more detail it falls in proportion to the samples.
         """
         chosen = self.sampled[points]
         chosen = chosen[np.flatnonzero(np.diff(chosen, prepend=-1))]
         errors = np.zeros(len(chosen))
         for rays, samples, _ in self._alike(chosen):
-            errors[rays] = _upper_quarter(parts[samples], samples.shape[1])
+            errors[rays] = _upper_quarter(values[samples], samples.shape[1])
         return self.pixel[self.ray[self.starts[chosen]]], errors
 
 
-def _upper_quarter(parts: np.ndarray, count: int) -> np.ndarray:
+def _upper_quarter(values: np.ndarray, count: int) -> np.ndarray:
     """LATTICE_NOISE times the root mean square of the last Legendre coefficients, normalised, of values (R, count)."""
     if count == 1:
-        return np.abs(parts[:, 0])
-    return LATTICE_NOISE * np.sqrt((product(parts, _last_polynomials(count)) ** 2).mean(axis=1))
+        return np.abs(values[:, 0])
+    return LATTICE_NOISE * np.sqrt((product(values, _last_polynomials(count)) ** 2).mean(axis=1))
 
 
 @functools.lru_cache(maxsize=256)
 def _last_polynomials(count: int) -> np.ndarray:
-    """The last quarter of the normalised Legendre polynomials at as many nodes: float64 (count, degrees)."""
+    """The last quarter of the first `count` normalised Legendre polynomials at its nodes: float64 (count, degrees)."""
     degrees = np.arange(max(3 * count // 4, 1), count)
     basis = np.polynomial.legendre.legvander(2.0 * gauss_legendre(count)[0] - 1.0, count - 1)[:, degrees]
     return basis * np.sqrt(2 * degrees + 1.0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lights with an angular extent, which one direction represents.
 
-A phase function may be much narrower than the angular extent of the light. Its mean over the light takes the place of
-its value at the one direction, so that light scatters forward wherever it comes from. Light that is hardly deflected,
+A phase function may be much narrower than the angular extent of the light. Its mean over the light replaces its value
+at the representative direction, so that light scatters forward wherever it comes from. Light that is hardly deflected,
 often most of it, comes along the camera ray itself, from behind everything that the ray crosses; the rest is shadowed
 like the one direction. The means vary smoothly across the image: they are tabulated at knots and interpolated.
 """
@@ -61,14 +61,14 @@ class ExtendedLights:
     def phase(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Mean phase functions (2, N, V, L) at points (N,) of the image, in pixels from its upper left corner.
 
-        First of the light from the suns' directions, then of the light from ahead; they sum to the mean of the phase
+        First for the light from the suns' directions, then for the light from ahead; they sum to the mean of the phase
         function.
         """
-        cells, parts = [], []
-        for place, count in zip((y, x), self.count):
-            cells.append(np.minimum((place / self.step).astype(int), count - 2))
-            parts.append((place / self.step - cells[-1])[:, None, None, None])
-        (i, j), (u, v) = cells, parts
+        cells, fractions = [], []
+        for position, count in zip((y, x), self.count):
+            cells.append(np.minimum((position / self.step).astype(int), count - 2))
+            fractions.append((position / self.step - cells[-1])[:, None, None, None])
+        (i, j), (u, v) = cells, fractions
         above, below = ((1.0 - v) * self.table[row, j] + v * self.table[row, j + 1] for row in (i, i + 1))
         return np.moveaxis((1.0 - u) * above + u * below, -1, 0)
 
@@ -134,5 +134,5 @@ def _means(
         cosine = product(directions[start : start + rows], towards.T)
         values = phase(cosine)
         ahead = np.clip((cosine - np.cos(FORWARD_ANGLE)) / (1.0 - np.cos(FORWARD_ANGLE)), 0.0, 1.0) * split_forward
-        means.append(np.stack([product(values * part, weights) for part in (1.0 - ahead, ahead)], axis=1))
+        means.append(np.stack([product(values * weight, weights) for weight in (1.0 - ahead, ahead)], axis=1))
     return np.concatenate(means)

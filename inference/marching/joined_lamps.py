@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Several distant lamps whose multiple scattering is predicted as that of one."""
+"""Several distant lamps whose multiple scattering is predicted as that of a single lamp."""
 
 import hashlib
 from collections.abc import Sequence
@@ -17,78 +17,78 @@ from .lamp_in_media import LampInMedia
 class JoinedLamps:
     """Lamps outside the volumes, in about the same direction as these see them: a lamp of power 1.
 
-    parts: n of them. middle: (3,) of the volumes.
+    lamps: n of them. middle: (3,) of the volumes.
     """
 
-    parts: Sequence[LampInMedia]
+    lamps: Sequence[LampInMedia]
     middle: np.ndarray
 
     @cached_property
     def power(self) -> np.ndarray:
         """Power (3,) of all of them, W."""
-        return np.sum([part.lamp.power for part in self.parts], axis=0)
+        return np.sum([lamp.lamp.power for lamp in self.lamps], axis=0)
 
     @cached_property
     def powers(self) -> np.ndarray:
-        """Power (n,) of each of them over that of all."""
-        powers = np.array([part.lamp.power.sum() for part in self.parts])
+        """Power (n,) of each lamp over the sum."""
+        powers = np.array([lamp.lamp.power.sum() for lamp in self.lamps])
         return powers / powers.sum() if powers.any() else np.full(len(powers), 1.0 / len(powers))
 
     @cached_property
     def coarse(self) -> list[Emitter]:
         """As of LampInMedia."""
-        return [emitter.dimmed(float(power)) for part, power in zip(self.parts, self.powers) for emitter in part.coarse]
+        return [emitter.dimmed(float(power)) for lamp, power in zip(self.lamps, self.powers) for emitter in lamp.coarse]
 
     @cached_property
     def coarse_shadow_maps(self) -> list[LampShadowMap | None] | None:
         """As of LampInMedia, None for the emitters that nothing shadows."""
-        found: list[LampShadowMap | None] = []
-        for part in self.parts:
-            found += part.coarse_shadow_maps or [None] * len(part.coarse)
-        return found if any(one is not None for one in found) else None
+        shadow_maps: list[LampShadowMap | None] = []
+        for lamp in self.lamps:
+            shadow_maps += lamp.coarse_shadow_maps or [None] * len(lamp.coarse)
+        return shadow_maps if any(shadow_map is not None for shadow_map in shadow_maps) else None
 
     @cached_property
     def key(self) -> bytes:
         """As of LampInMedia."""
         digest = hashlib.blake2b(self.powers.tobytes(), digest_size=16)
-        for part in self.parts:
-            digest.update(part.key)
+        for lamp in self.lamps:
+            digest.update(lamp.key)
         return digest.digest()
 
     @cached_property
     def centre(self) -> np.ndarray:
         """(3,), where most of their light seems to come from, in the world."""
-        away = np.array([part.centre for part in self.parts]) - self.middle
+        away = np.array([lamp.centre for lamp in self.lamps]) - self.middle
         distance, light = np.linalg.norm(away, axis=1), self.shares(self.middle[None])[0]
         direction = light @ (away / distance[:, None])
         return self.middle + direction / (np.linalg.norm(direction) * (light @ (1.0 / distance)))
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """As of LampInMedia."""
-        return np.sum([power * part.fluence(points) for part, power in zip(self.parts, self.powers)], axis=0)
+        return np.sum([power * lamp.fluence(points) for lamp, power in zip(self.lamps, self.powers)], axis=0)
 
     def reference(self, points: np.ndarray) -> np.ndarray:
         """As of LampInMedia."""
         return self._references(points).sum(axis=1)
 
     def shares(self, points: np.ndarray) -> np.ndarray:
-        """Shares float32 (N, n) of each of them in the light at points (N, 3), without what lies in between."""
+        """Fractions float32 (N, n) of the light at points (N, 3) that each lamp gives, without attenuation."""
         references = self._references(points)
         return (references / np.maximum(references.sum(axis=1), 1e-300)[:, None]).astype(np.float32)
 
     def _references(self, points: np.ndarray) -> np.ndarray:
-        found = [power * part.reference(points) for part, power in zip(self.parts, self.powers)]
-        return np.stack(found, axis=1)
+        references = [power * lamp.reference(points) for lamp, power in zip(self.lamps, self.powers)]
+        return np.stack(references, axis=1)
 
 
-#: What predicts as one lamp.
+#: What is predicted as one lamp.
 PredictedLamp = LampInMedia | JoinedLamps
 
 
 def predicted_lamps(
     lamps: Sequence[LampInMedia], clusters: Sequence[Sequence[int]], middle: np.ndarray
 ) -> list[PredictedLamp]:
-    """Clusters of some lamps, by number, as one lamp each; middle: (3,) of the volumes."""
+    """One lamp for each cluster of lamps, by number; middle: (3,) of the volumes."""
     return [
         lamps[cluster[0]] if len(cluster) == 1 else JoinedLamps([lamps[k] for k in cluster], middle)
         for cluster in clusters

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Depth samples of camera rays that pass lamps near volumes.
 
-Light that the coarse transport alone tells varies along a ray as that of the lamp does: where the ray passes it at a
-distance h over a length of about h, and at once at the edge of a spot's cone.
+Multiple scattering that the coarse transport gives varies along a ray as the lamp's own light does: over a length of
+about h where the ray passes the lamp at a distance h, and abruptly at the edge of a spot's cone.
 """
 
 from collections.abc import Sequence
@@ -13,21 +13,21 @@ from ..scene.settings import DETAIL
 from .lamp_in_media import LampInMedia
 from .ray_steps import RayBatch
 
-# Length of a ray over its distance to a lamp from which on it takes more samples: as many times as it is longer.
+# Length of a ray over its distance to a lamp above which it takes more samples, in proportion.
 CLOSE = 4.0
 
 
 def detail_of_rays(lamps: Sequence[LampInMedia], rays: RayBatch, most: int) -> np.ndarray:
-    """By how much the depth samples of rays are multiplied, int (R,): of DETAIL; most: of these, the largest."""
-    found = np.ones(len(rays.near))
+    """Factors of the depth samples of rays, int (R,), each a value of DETAIL up to most."""
+    times = np.ones(len(rays.near))
     for lamp in lamps:
         away = lamp.centre - rays.origins
         nearest = np.clip((away * rays.directions).sum(axis=1), rays.near, rays.far)
         distance = np.linalg.norm(away - nearest[:, None] * rays.directions, axis=1)
-        np.maximum(found, (rays.far - rays.near) / np.maximum(CLOSE * distance, CLOSE * lamp.reach + 1e-30), out=found)
+        np.maximum(times, (rays.far - rays.near) / np.maximum(CLOSE * distance, CLOSE * lamp.reach + 1e-30), out=times)
         for emitter in lamp.emitters:
             if emitter.cone is not None:
                 first, last = emitter.lit_between(rays.origins, rays.directions)
                 first, last = np.maximum(first, rays.near), np.minimum(last, rays.far)
-                found[(first < last) & ((first > rays.near) | (last < rays.far))] = most
-    return np.array(DETAIL)[np.searchsorted(DETAIL, np.minimum(found, most))]
+                times[(first < last) & ((first > rays.near) | (last < rays.far))] = most
+    return np.array(DETAIL)[np.searchsorted(DETAIL, np.minimum(times, most))]

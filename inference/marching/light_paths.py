@@ -2,9 +2,9 @@
 """Light paths traced backwards from camera rays until they leave all volumes.
 
 Delta tracking (Woodcock et al. 1965; Novak et al., "Monte Carlo Methods for Volumetric Light Transport Simulation",
-2018): a majorant in each of many cells keeps null collisions rare, and one of the eight voxels around a collision,
-chosen with its weight in the interpolation, stands for the density there, which is unbiased since collisions are linear
-in it. Where volumes overlap, a path collides where it does first in any of them.
+2018): a majorant in each of many cells keeps null collisions rare. The density at a collision is that of one of the
+eight voxels around it, chosen with its weight in the interpolation, which is unbiased since collisions are linear in
+the density. Where volumes overlap, the first collision in any of them counts.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from .ray_steps import RayBatch
 MISSED, LEFT, GIVEN_UP = range(3)
 # Collisions of a path and steps of it, at most.
 COLLISIONS, STEPS = 500, 20_000
-# Share of the light at which a path ends.
+# Fraction of the light at which a path ends.
 NEGLIGIBLE = 1e-4
-# Optical thickness of cells in which the density is bounded, and how many of the occupancy's are joined at most.
+# Optical thickness of cells in which the density is bounded, and most cells of the occupancy that are joined per axis.
 THICK, MOST_JOINED = 8.0, 16
 
 
@@ -65,7 +65,7 @@ class Majorants:
 
     @classmethod
     def of(cls, medium: BoundMedium) -> "Majorants":
-        """Cells that are about as thick as THICK where the medium is densest, or as thin as there are."""
+        """Cells of about the optical thickness THICK where the medium is densest, or the occupancy's own cells."""
         occupancy = medium.grid.occupancy
         thickness = medium.voxel_thickness * occupancy.cell
         joined = int(np.clip(THICK / max(thickness, 1e-9), 1, MOST_JOINED))
@@ -86,8 +86,8 @@ class Majorants:
 class PathEnds:
     """Where P paths of each of R rays ended.
 
-    kept: float32 (R, P, C), share of the light that collisions have kept. directions: float32 (R, P, 3), in which the
-    paths left their last collisions. ends: uint8 (R, P), MISSED, LEFT or GIVEN_UP.
+    kept: float32 (R, P, C), fraction of the light that collisions have kept. directions: float32 (R, P, 3), in which
+    the paths left their last collisions. ends: uint8 (R, P), MISSED, LEFT or GIVEN_UP.
     """
 
     kept: np.ndarray
@@ -107,12 +107,12 @@ class PathTracer:
         self._described = [describe_medium(medium, (), media.channels, False) for medium in media.media]
 
     def trace(self, rays: RayBatch, numbers: np.ndarray, paths: int) -> PathEnds:
-        """Paths from the first collisions of rays, which are as many as the rays are opaque.
+        """Paths from the first collisions of rays; a path collides with the probability of the ray's opacity.
 
-        numbers: int64 (R,), which decide the paths of each ray. paths: of each ray.
+        numbers: int64 (R,), seeds of the paths of each ray. paths: of each ray. Raises Cancelled.
         """
         shape, media = (len(numbers), paths), self.media
-        kept, leaving = np.zeros((*shape, len(media.channels)), np.float32), np.zeros((*shape, 3), np.float32)
+        light, leaving = np.zeros((*shape, len(media.channels)), np.float32), np.zeros((*shape, 3), np.float32)
         ends = np.zeros(shape, np.uint8)
         traced = call(
             "trace_paths",
@@ -133,10 +133,10 @@ class PathTracer:
             steps=STEPS,
             negligible=NEGLIGIBLE,
             stop=self.stop,
-            light=kept,
+            light=light,
             leaving=leaving,
             ends=ends,
         )
         if traced < len(numbers):
             raise Cancelled
-        return PathEnds(kept, leaving, ends)
+        return PathEnds(light, leaving, ends)

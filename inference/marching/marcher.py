@@ -52,7 +52,7 @@ from .ray_steps import (
 
 
 class Marcher:
-    """Marches rays through media, with the emission of some colour channels.
+    """Marches rays through media, with the emission in colour channels.
 
     Safe to use on several threads.
     """
@@ -80,11 +80,11 @@ class Marcher:
         self._local = threading.local()
 
     def __call__(self, rays: RayBatch) -> RaySegment:
-        """What rays gather whose intervals contain all media. Raises Cancelled."""
+        """March rays whose intervals contain all media. Raises Cancelled."""
         return self.march_steps(rays, step_counts(self._media, rays))
 
     def march_steps(self, rays: RayBatch, counts: np.ndarray) -> RaySegment:
-        """As calling it, for a number of steps int (R,) for each ray. Raises Cancelled."""
+        """March rays in counts, int (R,), coarse steps each. Raises Cancelled."""
         count, volumes, most = len(rays.near), len(self._media), self._options.depth_samples
         counts = np.ascontiguousarray(counts, np.int64)
         most *= self._options.most_detail
@@ -115,7 +115,7 @@ class Marcher:
         if self._options.fluence is not None:
             features = np.empty((count * most, len(self._groups), self._suns, COLUMNS), np.float32)
         lamps = 0 if self._lamps is None else len(self._lamps.lamps)
-        of_lamps, lamp_features = np.empty((count, volumes, lamps, scattering)), None
+        single_of_lamps, lamp_features = np.empty((count, volumes, lamps, scattering)), None
         if self._lamps is not None and self._lamps.fluence is not None:
             lamp_features = np.empty((count * most, len(self._groups), lamps, COLUMNS), np.float32)
         gathered = structures.Gathered(
@@ -123,7 +123,7 @@ class Marcher:
             depth=depth,
             optical_depth=optical_depth,
             single_scattering=single,
-            lamp_scattering=of_lamps,
+            lamp_scattering=single_of_lamps,
             scattering_depth=scattering_depth,
             emission=emission,
             sample_counts=samples,
@@ -150,7 +150,7 @@ class Marcher:
             sample_features=_copied(features, end),
             steps_evaluated=gathered.blocks * STEPS,
             emission=emission,
-            lamps=None if self._lamps is None else LampSegment(of_lamps, _copied(lamp_features, end)),
+            lamps=None if self._lamps is None else LampSegment(single_of_lamps, _copied(lamp_features, end)),
             sample_scattering=None if sample_scattering is None else sample_scattering[:end].copy(),
             scattering_depth=scattering_depth,
         )
@@ -228,7 +228,7 @@ def _copied(features: np.ndarray | None, count: int) -> RayFeatures | None:
 
 
 def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium], mean: MeanLampDepth | None) -> structures.Shared:
-    columns = [depth.described(medium.sigma_t) for each in lamp.depths for depth, medium in zip(each, media)]
+    columns = [depth.described(medium.sigma_t) for depths in lamp.depths for depth, medium in zip(depths, media)]
     pointers = (c_void_p * len(columns))(*map(addressof, columns))
     shadow_maps = [describe_shadow_map(shadow_map) for shadow_map in lamp.shadow_maps or []]
     grid = None if mean is None else describe_grid(mean.grid)
@@ -256,7 +256,7 @@ def _phase_table(medium: Medium) -> np.ndarray:
 def describe_medium(
     medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool
 ) -> structures.Shared:
-    """A medium, with the emission and the scattering of some colour channels.
+    """A medium, with its emission in `channels` and its scattering in `scattering`, colour channels by number.
 
     lamps: whether its phase function is tabulated, for the light of lamps.
     """
@@ -266,7 +266,7 @@ def describe_medium(
     density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
     described = structures.Medium(
         density=density,
-        held=grid.density.held if isinstance(grid.density, DenseGrid) else None,
+        held=grid.density.filled_bits if isinstance(grid.density, DenseGrid) else None,
         occupancy=occupancy,
         suns=structures.array_of([depth.described(medium.sigma_t) for depth in medium.sun_depths]),
         phase=_phase_table(medium.medium) if lamps else None,

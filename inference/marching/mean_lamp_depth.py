@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Optical depth of a lamp's light as a whole, at the voxels of a medium.
+"""Mean optical depth of a lamp's light, at the voxels of a medium.
 
-The shadow of a lamp of some size is the mean of the shadows of its parts. Where there are many more steps on camera
-rays than voxels, it is cheaper to find that mean once at each voxel than in each step.
+The shadow of an extended lamp is the mean of the shadows of its emitters. Where there are many more steps on camera
+rays than voxels, it is cheaper to compute that mean once at each voxel than in each step.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from ..runtime.tasks import AnyTasks
 from ..transport.lamp_cells import LampCells, light_in_cells
 from .lamp_in_media import LampInMedia
 
-# Distance from a lamp, over its reach, from which on its parts are taken together.
+# Distance from a lamp, over its reach, from which on its mean depth is used.
 APART = 1.8
-# Voxels that a task finds at a time.
+# Voxels that a task computes.
 VOXELS_PER_TASK = 1 << 15
-# Depth from which on nothing arrives, and fluence of a lamp of power 1 that is none.
+# Depth that stands for no light, and fluence of a lamp of power 1 that counts as dark.
 OPAQUE, DARK = 80.0, 1e-30
 
 
@@ -28,9 +28,9 @@ OPAQUE, DARK = 80.0, 1e-30
 class MeanLampDepth:
     """Optical depth of a lamp's light at the voxels of one medium, and at those around it.
 
-    It is -ln of the mean transmittance towards the lamp's parts, weighted by what they would give. grid: depths, whose
-    first voxel lies in front of the medium's along each axis. start: distance from the lamp's middle from which on they
-    are used.
+    It is -ln of the mean transmittance towards the lamp's emitters, weighted by their unattenuated light. grid: depths,
+    with a layer of voxels before the medium's first along each axis. start: distance from the lamp's middle, in world
+    units, from which on the depths are used.
     """
 
     grid: DenseGrid
@@ -48,20 +48,20 @@ def mean_lamp_depth(lamp: LampInMedia, medium: BoundMedium, tasks: AnyTasks) -> 
         near[1:] |= along[:-1]
         near[:-1] |= along[1:]
         filled = np.moveaxis(near, 0, axis)
-    shape, wanted = filled.shape, np.flatnonzero(filled)
-    found = np.zeros(filled.size, np.float32)
+    shape, voxels = filled.shape, np.flatnonzero(filled)
+    depths = np.zeros(filled.size, np.float32)
 
     def fill(start: int) -> None:
-        some = wanted[start : start + VOXELS_PER_TASK]
-        found[some] = _depths(lamp, medium, some, shape)
+        numbers = voxels[start : start + VOXELS_PER_TASK]
+        depths[numbers] = _depths(lamp, medium, numbers, shape)
 
-    for _ in tasks.map(fill, range(0, len(wanted), VOXELS_PER_TASK)):
+    for _ in tasks.map(fill, range(0, len(voxels), VOXELS_PER_TASK)):
         pass
-    return MeanLampDepth(DenseGrid(found.reshape(shape)), APART * lamp.reach)
+    return MeanLampDepth(DenseGrid(depths.reshape(shape)), APART * lamp.reach)
 
 
 def _depths(lamp: LampInMedia, medium: BoundMedium, numbers: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Depth float32 (N,) of all of a lamp's light at voxels of a medium.
+    """Mean depth float32 (N,) of a lamp's light at voxels of a medium.
 
     numbers: int (N,), in a lattice of a shape that has one voxel more than the medium on each side.
     """
@@ -69,10 +69,10 @@ def _depths(lamp: LampInMedia, medium: BoundMedium, numbers: np.ndarray, shape: 
     emitters = [(emitter, depth, None) for emitter, [depth] in zip(lamp.emitters, lamp.depths)]
     origin = world_from_index @ (-1.0 - medium.offset)
     cells = LampCells(shape, world_from_index, origin, np.ones(3, int), medium.sigma_t)
-    passed, given = light_in_cells(emitters, cells, (numbers, 1, 0.0))
-    # Where no part gives anything, all of them alike.
-    dark = np.flatnonzero(given < DARK)
+    passed, unshadowed = light_in_cells(emitters, cells, (numbers, 1, 0.0))
+    # Where no emitter shines, all have the same weight.
+    dark = np.flatnonzero(unshadowed < DARK)
     if len(dark):
         through = [np.exp(-depth(index[:, dark].astype(np.float32), medium.sigma_t)) for [depth] in lamp.depths]
-        passed[dark], given[dark] = np.mean(through, axis=0), 1.0
-    return np.minimum(-np.log(np.maximum(passed / given, np.float32(1e-37))), np.float32(OPAQUE))
+        passed[dark], unshadowed[dark] = np.mean(through, axis=0), 1.0
+    return np.minimum(-np.log(np.maximum(passed / unshadowed, np.float32(1e-37))), np.float32(OPAQUE))

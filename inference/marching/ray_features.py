@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The medium along a camera ray as seen from points on it: optical depths, and the light ahead.
 
-Forward scattering brings light from ahead along the camera ray. Marching the ray for single scattering has already
-evaluated all that is needed to integrate it.
+Forward scattering brings light from ahead along the camera ray. It is integrated from values that marching the ray for
+single scattering has already evaluated.
 """
 
 from collections.abc import Sequence
@@ -35,19 +35,19 @@ class RayFeatures:
     values: np.ndarray
 
     def of(self, points: np.ndarray | slice, medium: int, sun: int) -> np.ndarray:
-        """float32 (N, COLUMNS) of some points, in one medium and for one sun."""
+        """float32 (N, COLUMNS) at points, by number, in one medium and for one sun."""
         return self.values[points, medium, sun]
 
-    def mean(self, points: np.ndarray | slice, medium: int, suns: Sequence[int], shares: np.ndarray) -> np.ndarray:
-        """float32 (N, COLUMNS), as `of`, for several suns of which each has a share of the light.
+    def mean(self, points: np.ndarray | slice, medium: int, suns: Sequence[int], fractions: np.ndarray) -> np.ndarray:
+        """float32 (N, COLUMNS), as `of`, averaged over several suns.
 
-        shares: (n,), or (N, n) of each point. Light is averaged, and so is the transmittance instead of the optical
-        depth.
+        fractions: (n,), of the light that each sun gives, or (N, n) for each point. Transmittance is averaged instead
+        of optical depth.
         """
         if len(suns) == 1:
             return self.of(points, medium, suns[0])
         values = self.values[points, medium][:, suns]
-        each = np.broadcast_to(shares, values.shape[:2])
-        mean = np.einsum("nsc,ns->nc", values, each, optimize=False)
-        mean[:, 0] = -np.log((np.exp(-values[..., 0]) * each).sum(axis=1))
+        weights = np.broadcast_to(fractions, values.shape[:2])
+        mean = np.einsum("nsc,ns->nc", values, weights, optimize=False)
+        mean[:, 0] = -np.log((np.exp(-values[..., 0]) * weights).sum(axis=1))
         return mean

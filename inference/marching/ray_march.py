@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is gathered along camera rays.
+"""Options and results of marching camera rays.
 
 The light of a lamp near a ray varies within a step as the inverse square of its distance. Its integral over each step
 is a quadrature in the angle under which the lamp sees the step, in which the inverse square is constant (Kulla and
@@ -27,7 +27,7 @@ JITTER = np.array([[0.8191725], [0.6710436], [0.5497005]], np.float32)
 # Optical depth that counts as complete shadow.
 DARK = np.float32(60.0)
 # Length of a step over its distance to a lamp from which on it takes MANY nodes, in the angle under which the lamp sees
-# it, instead of FEW in its length; and up to which one in its middle is enough.
+# it, instead of FEW in its length; and up to which a single node in its middle is enough.
 WIDE, FEW, MANY, BRIEF = 0.2, 2, 10, 0.02
 
 
@@ -39,8 +39,8 @@ class MarchOptions:
     prediction; None altogether if no ray features are wanted. shadow_maps: of each sun, or None if no surface shadows
     volumes. groups: numbers of the volumes that the network treats as one medium, each alone if None. optimizations:
     those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity. scattering: colour channels
-    whose scattering is gathered, by number; one stands for all unless an albedo varies in colour. most_detail: largest
-    of RayBatch.detail. at_start: each ray has one depth sample, where it begins, in density or not.
+    whose scattering is gathered, by number; a single channel unless an albedo varies in colour. most_detail: largest of
+    RayBatch.detail. at_start: each ray has one depth sample, where it begins, in density or not.
     """
 
     depth_samples: int
@@ -58,8 +58,8 @@ class MarchOptions:
 class LampSegment:
     """What a batch of R rays gathered of K lamps of power 1 in V volumes.
 
-    single: (R, V, K, S), single scattering as in RaySegment. features: RayFeatures of samples, their lights the lamps
-    over their softened fluence there, or None.
+    single: (R, V, K, S), single scattering as in RaySegment. features: RayFeatures of samples for each lamp's light
+    over its softened fluence there, or None.
     """
 
     single: np.ndarray
@@ -74,11 +74,11 @@ class RaySegment:
     opaque. single: (R, V, L, S), single scattering for irradiance 1 and phase function 1, in the S colour channels of
     `MarchOptions.scattering`, for albedo 1 except in volumes whose albedo varies. sample_ray: int (M,), ray of each
     depth sample. sample_distance: (M,). sample_weight: (M,), sums to alpha over the samples of a ray. sample_fraction:
-    (M, V), share of each volume in the extinction there. sample_features: RayFeatures of the samples, or None.
+    (M, V), of the extinction there in each volume. sample_features: RayFeatures of the samples, or None.
     steps_evaluated: number of steps, of all rays. emission: (R, C) of the colour channels asked for, or None where no
-    volume emits light. lamps: what they gathered of lamps, or None. sample_scattering: float32 (M, V, S), what each
-    volume scatters of the light that all take there, for albedo 1 as in `single`; scattering_depth: (R, V, S), as
-    optical_depth, of scattering; both None where no albedo varies.
+    volume emits light. lamps: LampSegment, or None. sample_scattering: float32 (M, V, S), scattering of each volume
+    over the extinction of all, for albedo 1 as in `single`; scattering_depth: (R, V, S), as optical_depth, of
+    scattering; both None where no albedo varies.
     """
 
     alpha: np.ndarray
@@ -102,8 +102,8 @@ class LampMarch:
     """Lamps whose light is gathered along camera rays.
 
     fluence: scattered light of the lamps in each group of volumes, None for a group without prediction; None altogether
-    if no ray features are wanted. radius: by which their light is softened for these. means: optical depths of all of a
-    lamp's light, for each lamp, or None; only for one volume alone, which no surface shadows from the lamp.
+    if no ray features are wanted. radius: by which `softened` limits their light for these. means: mean optical depth
+    of each lamp's light, or None; only for a single volume that no surface shadows from the lamp.
     """
 
     lamps: Sequence[LampInMedia]
@@ -112,7 +112,7 @@ class LampMarch:
     means: Sequence[MeanLampDepth | None] = ()
 
     def mean(self, number: int) -> MeanLampDepth | None:
-        """Of a lamp by number."""
+        """Mean depth of a lamp's light, by the lamp's number, or None."""
         return self.means[number] if self.means else None
 
 

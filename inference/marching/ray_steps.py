@@ -3,8 +3,8 @@
 
 Most of the box around a cloud is empty. Steps are therefore stored in blocks of equal steps, and only the blocks of a
 ray that lie near density: arrays (P, STEPS), the blocks of all rays one after another. Blocks whose steps are too thick
-are cut into smaller ones. Places on a ray are counted in its coarse steps. The steps of a ray depend on that ray alone,
-so that an image does not depend on which rays are marched together.
+are cut into smaller blocks. Positions on a ray are in coarse steps. The steps of a ray depend on that ray alone, so
+that an image does not depend on which rays are marched together.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from ..numerics.small_matmul import lengths, product
 
 # Minimal number of coarse steps along the longest edge of a grid; there is one per voxel at least.
 STEPS_PER_EDGE = 128
-# Optical thickness of a step above which its block is cut where the ray begins, and the optical depth over which that
-# grows by e: what lies deeper is seen less.
+# Optical thickness of a step above which its block is cut where the ray begins, and the optical depth over which this
+# limit grows by e: deeper steps are seen less.
 STEP_THICKNESS, STEP_GROWTH = 0.3, 8.0
-# The same of steps as dense as the densest place near, towards which light may vary as much; and the finest step, as a
-# part of a coarse one, that blocks are cut into for that.
+# The same for steps taken as dense as the densest voxel near, towards which light may vary as much; and the finest
+# step, as a fraction of a coarse step, that blocks are cut into for that.
 PEAK_THICKNESS, PEAK_GROWTH, FINEST = 0.3, 3.0, 0.0625
 # How often a block may be cut, and into how many at a time.
 LEVELS, MOST_PARTS = 7, 8
@@ -50,7 +50,7 @@ class RayBatch:
     detail: np.ndarray | None = None
 
     def take(self, rays: np.ndarray | slice) -> "RayBatch":
-        """Some of the rays, by number."""
+        """A batch of these rays, by number."""
         detail = None if self.detail is None else self.detail[rays]
         return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays], detail)
 
@@ -61,7 +61,7 @@ def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
 
 
 def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
-    """Number of coarse steps int (R,) per ray, as the medium that needs most requires."""
+    """Number of coarse steps int (R,) per ray, for the medium that needs the most."""
     crossed = [
         lengths(product(rays.directions, medium.linear.T)) * (rays.far - rays.near)
         for medium in media

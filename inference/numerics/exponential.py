@@ -3,7 +3,7 @@
 
 import numpy as np
 
-# Above the first, exp(-x) vanishes beside 1; the second keeps 0 / 0 away and vanishes beside anything else.
+# Above _MAX, exp(-x) vanishes beside 1; _TINY avoids 0 / 0 and vanishes beside any other value.
 _MAX, _TINY = np.float32(60.0), np.float32(1e-30)
 
 

@@ -10,7 +10,7 @@ Bound = np.ndarray | float
 def box_interval(origins: np.ndarray, directions: np.ndarray, low: Bound, high: Bound) -> tuple[np.ndarray, np.ndarray]:
     """Distances (N,) at which rays enter and leave an axis-aligned box; entry > exit where a ray misses it.
 
-    origins, directions: (N, 3), or one of them (1, 3); low, high: corners of the box, (3,) or scalar.
+    origins, directions: (N, 3), or either (1, 3); low, high: corners of the box, (3,) or scalar.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / directions

@@ -17,7 +17,7 @@ ITERATIONS = 5
 def legendre_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes in (-1, 1), ascending, and weights: float64 (count,) each, as `numpy.polynomial.legendre.leggauss`.
 
-    That one asks LAPACK for eigenvalues, whose threads then spin (`small_matmul`); this is Newton's method.
+    numpy asks LAPACK for eigenvalues, whose threads then spin (`small_matmul`); this is Newton's method.
     """
     x = -np.cos(np.pi * (np.arange(count) + 0.75) / (count + 0.5))
     for _ in range(ITERATIONS):

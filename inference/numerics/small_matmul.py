@@ -20,10 +20,10 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 def affine_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of an affine transform (4, 4)."""
-    found = np.eye(4)
-    found[:3, :3] = inverse(matrix[:3, :3])
-    found[:3, 3] = -found[:3, :3] @ matrix[:3, 3]
-    return found
+    inverted = np.eye(4)
+    inverted[:3, :3] = inverse(matrix[:3, :3])
+    inverted[:3, 3] = -inverted[:3, :3] @ matrix[:3, 3]
+    return inverted
 
 
 def solve_positive(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -57,25 +57,25 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if b.size > VECTOR_WORK:
         # Too much for one row, which numpy treats as a vector.
         length = max(VECTOR_WORK * len(b) // b.size, 1)
-        parts = [slice(start, start + length) for start in range(0, len(b), length)]
-        if len(parts) > 1:
-            return np.sum([product(a[..., part], b[part]) for part in parts], axis=0)
+        blocks = [slice(start, start + length) for start in range(0, len(b), length)]
+        if len(blocks) > 1:
+            return np.sum([product(a[..., block], b[block]) for block in blocks], axis=0)
     # numpy treats a matrix of one column as a vector, too.
     work = VECTOR_WORK if b.size == a.shape[-1] else MATRIX_WORK
     rows = a.reshape(-1, a.shape[-1])
-    each = max(work // b.size, 1)
-    whole = len(rows) // each * each
+    height = max(work // b.size, 1)
+    even = len(rows) // height * height
     result = np.empty((len(rows), *b.shape[1:]), np.result_type(a, b))
-    np.matmul(rows[:whole].reshape(-1, each, a.shape[-1]), b, out=result[:whole].reshape(-1, each, *b.shape[1:]))
-    np.matmul(rows[whole:], b, out=result[whole:])
+    np.matmul(rows[:even].reshape(-1, height, a.shape[-1]), b, out=result[:even].reshape(-1, height, *b.shape[1:]))
+    np.matmul(rows[even:], b, out=result[even:])
     return result.reshape(*a.shape[:-1], *b.shape[1:])
 
 
 def product_of_columns(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a @ b for a (M, K) and b (K, N), in blocks of columns that are small enough to stay on this thread."""
     result = np.empty((len(a), b.shape[1]), np.result_type(a, b))
-    each = max(MATRIX_WORK // a.size, 1)
-    for start in range(0, b.shape[1], each):
-        some = slice(start, start + each)
-        np.matmul(a, b[:, some], out=result[:, some])
+    width = max(MATRIX_WORK // a.size, 1)
+    for start in range(0, b.shape[1], width):
+        block = slice(start, start + width)
+        np.matmul(a, b[:, block], out=result[:, block])
     return result

@@ -3,15 +3,15 @@
 
 import numpy as np
 
-#: Degree of each of them.
+#: Degree of each harmonic.
 DEGREES = np.repeat(np.arange(4), [1, 3, 5, 7])
 
 
 def spherical_harmonics(directions: np.ndarray) -> np.ndarray:
     """Real spherical harmonics (16, N) of unit vectors (N, 3), in the order of DEGREES, Schmidt's semi-normalised.
 
-    Those of one degree l of two vectors, multiplied and added up, are Legendre's polynomial P_l of the vectors' cosine.
-    The first is 1, the next three are the vector.
+    The scalar product of the harmonics of degree l of two vectors is Legendre's polynomial P_l of the vectors' cosine.
+    The first harmonic is 1, the next three are the vector.
     """
     x, y, z = directions.T
     xx, yy, zz = x * x, y * y, z * z

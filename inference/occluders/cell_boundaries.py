@@ -14,10 +14,10 @@ LAYERS = 3
 class CellBoundaries:
     """Links between the centres of neighbouring cells of the working cube that black surfaces cut.
 
-    below, above: float64 (3, n, n, n), for the link from each cell to the next along each axis the distance in cells
-    from the cell to the surface and from the next cell to it; infinite where no surface cuts the link. facing: (3, n,
-    n, n), |cosine| between the axis and the surface's normal, so that the links represent the surface's area; 0 where
-    none cuts. inside: bool (n, n, n), cells within a closed surface.
+    below, above: float64 (3, n, n, n), distances in cells to the surface that cuts the link from each cell to the next
+    along each axis: from the cell, and from the next cell; infinite where no surface cuts the link. facing: (3, n, n,
+    n), |cosine| between the axis and the surface's normal, so that the links represent the surface's area; 0 where no
+    surface cuts. inside: bool (n, n, n), cells within a closed surface.
     """
 
     def __init__(self, triangles: np.ndarray, cells: int):
@@ -25,23 +25,23 @@ class CellBoundaries:
         shape = (3, cells, cells, cells)
         self.below, self.above, self.facing = np.full(shape, np.inf), np.full(shape, np.inf), np.zeros(shape)
         self.inside = np.ones(shape[1:], bool)
-        place = (np.asarray(triangles, np.float64) + 0.5) * cells - 0.5 + OFFSET
+        corners = (np.asarray(triangles, np.float64) + 0.5) * cells - 0.5 + OFFSET
         for axis in range(3):
-            self._cut(axis, np.roll(place, -axis, axis=2), cells)
+            self._cut(axis, np.roll(corners, -axis, axis=2), cells)
 
     @property
     def empty(self) -> bool:
         """Whether no link is cut."""
         return not self.facing.any()
 
-    def _cut(self, axis: int, place: np.ndarray, cells: int) -> None:
-        """Cut links along an axis; place: (T, 3, 3) corners, that axis first and the following two after it."""
-        normals = np.cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0])
+    def _cut(self, axis: int, corners: np.ndarray, cells: int) -> None:
+        """Cut links along an axis; corners: (T, 3, 3), that axis first and the following two after it."""
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facing = np.abs(normals[:, 0]) / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
         shape = (cells * cells, cells)
         nearest, farthest, most = np.full(shape, np.inf), np.full(shape, -np.inf), np.zeros(shape)
         passed = np.zeros((cells * cells, cells + 1), int)
-        for column, height, triangle in rasterize(place[..., 1:], place[..., 0], np.array([cells, cells])):
+        for column, height, triangle in rasterize(corners[..., 1:], corners[..., 0], np.array([cells, cells])):
             np.add.at(passed, (column, np.clip(np.ceil(height), 0, cells).astype(int)), 1)
             met = (height >= 0.0) & (height < cells - 1)
             at = column[met], height[met].astype(int)
@@ -71,12 +71,12 @@ class CellBoundaries:
 
     def extrapolate_inside(self, values: np.ndarray) -> np.ndarray:
         """Values (n, n, n), extrapolated into surfaces from the cells outside, so that interpolation sees no step."""
-        filled, known = np.where(self.inside, 0.0, values), (~self.inside).astype(np.float64)
+        filled, weights = np.where(self.inside, 0.0, values), (~self.inside).astype(np.float64)
         for _ in range(LAYERS):
-            sums, counts = _around(filled), _around(known)
-            new = (known == 0.0) & (counts > 0.0)
-            filled[new], known[new] = sums[new] / counts[new], 1.0
-        return np.where(known > 0.0, filled, values)
+            sums, counts = _around(filled), _around(weights)
+            new = (weights == 0.0) & (counts > 0.0)
+            filled[new], weights[new] = sums[new] / counts[new], 1.0
+        return np.where(weights > 0.0, filled, values)
 
 
 def _back(values: np.ndarray, axis: int, cells: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 """Where opaque surfaces end camera rays.
 
 Triangles are rasterized at several sample points per pixel; the nearest wins. A pixel crossed by the edge of a surface
-is rendered as several rays, one for each distance at which parts of it end.
+is rendered as several rays, each ending at another distance.
 """
 
 import functools
@@ -22,7 +22,7 @@ SAMPLES = 4
 DISTANCES = 16
 # Pixels along the edges of the squares in which pixels are sampled.
 TILE = 64
-# Triangles are clipped at least at this fraction of the farthest one's distance.
+# Triangles are clipped at least at this fraction of the distance of the farthest triangle.
 CLOSEST = 1e-6
 
 
@@ -40,20 +40,20 @@ class DepthBuffer:
         closest = max(camera.clip[0], CLOSEST * farthest)
         self.extent = 2.0 * np.tan(0.5 * camera.fov)
         projected = [self._project(surface.triangles - eye, closest, cancel) for surface in surfaces]
-        self.place, self.value, number = (np.concatenate(parts) for parts in zip(*projected))
+        self.corners, self.value, number = (np.concatenate(arrays) for arrays in zip(*projected))
         # Number of each triangle among those of all surfaces.
         begin = np.cumsum([0, *(len(surface.triangles) for surface in surfaces[:-1])])
-        self.number = number + np.repeat(begin, [len(parts[2]) for parts in projected])
-        # Pixels that each triangle may reach, so that small windows need not look at all of them.
-        self.low, self.high = self.place.min(axis=1) - 1.0, self.place.max(axis=1) + 1.0
+        self.number = number + np.repeat(begin, [len(arrays[2]) for arrays in projected])
+        # Pixels that each triangle may reach, so that small windows skip most triangles.
+        self.low, self.high = self.corners.min(axis=1) - 1.0, self.corners.max(axis=1) + 1.0
 
     def _project(
         self, corners: np.ndarray, closest: float, cancel: CancelToken
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Project triangles to pixel coordinates (T, 3, 2), with values (T, 3) that grow towards the camera.
 
-        The values interpolate linearly in the image: depth for orthographic cameras, 1 / depth for perspective ones.
-        Also returns of which triangle each is a part, int (T,).
+        The values interpolate linearly in the image: depth for orthographic cameras, 1 / depth for perspective cameras.
+        Also returns the number of the triangle that each was clipped from, int (T,).
         """
         cancel.check()
         camera = self.camera
@@ -66,22 +66,22 @@ class DepthBuffer:
         else:
             value = -1.0 / corners[..., 2]
             plane = corners[..., :2] * value[..., None] / self.extent
-        place = np.stack(
+        pixels = np.stack(
             [(plane[..., 0] - camera.shift[0] + 0.5) * width, 0.5 * height - (plane[..., 1] - camera.shift[1]) * width],
             axis=-1,
         )
-        return place, value, number
+        return pixels, value, number
 
     def triangles(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
         """Numbers int (rows, columns) of the nearest triangles at the sample points of the window's pixels.
 
-        -1 where there is none. Raises Cancelled.
+        -1 where there is no triangle. Raises Cancelled.
         """
-        size, near, place = self._raster(window)
-        found, number = np.full(size[0] * size[1], -np.inf), np.full(size[0] * size[1], -1)
-        for flat, value, triangle in rasterize(place, self.value[near], size, cancel):
-            np.maximum.at(found, flat, value)
-            nearest = found[flat] == value
+        size, near, corners = self._raster(window)
+        largest, number = np.full(size[0] * size[1], -np.inf), np.full(size[0] * size[1], -1)
+        for flat, value, triangle in rasterize(corners, self.value[near], size, cancel):
+            np.maximum.at(largest, flat, value)
+            nearest = largest[flat] == value
             number[flat[nearest]] = self.number[near[triangle[nearest]]]
         return number.reshape(size[1], size[0])
 
@@ -89,7 +89,7 @@ class DepthBuffer:
         """Columns and rows of a window's sample points, and which triangles may reach them, with their corners."""
         x0, y0, x1, y1 = window
         near = self._near(window)
-        return np.array([x1 - x0, y1 - y0]) * SAMPLES, near, (self.place[near] - [x0, y0]) * SAMPLES - 0.5
+        return np.array([x1 - x0, y1 - y0]) * SAMPLES, near, (self.corners[near] - [x0, y0]) * SAMPLES - 0.5
 
     def distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
         """Distances float64 (N, SAMPLES^2) along rays through the window's pixels, row by row.
@@ -97,14 +97,14 @@ class DepthBuffer:
         Infinity where there is no surface. Raises Cancelled.
         """
         x0, y0, x1, y1 = window
-        size, near, place = self._raster(window)
-        found = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in rasterize(place, self.value[near], size, cancel):
-            np.maximum.at(found, flat, value)
+        size, near, corners = self._raster(window)
+        largest = np.full(size[0] * size[1], -np.inf)
+        for flat, value, _ in rasterize(corners, self.value[near], size, cancel):
+            np.maximum.at(largest, flat, value)
         columns, rows = (first + (np.arange(n) + 0.5) / SAMPLES for first, n in zip((x0, y0), size))
-        distance = self._along(found.reshape(size[1], size[0]), columns, rows)
-        parts = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)
-        return parts.reshape(-1, SAMPLES**2)
+        distance = self._along(largest.reshape(size[1], size[0]), columns, rows)
+        samples = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)
+        return samples.reshape(-1, SAMPLES**2)
 
     def corner_distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
         """Distances float64 (rows + 1, columns + 1) along rays through the corners of the window's pixels.
@@ -114,10 +114,10 @@ class DepthBuffer:
         x0, y0, x1, y1 = window
         near = self._near(window)
         size = np.array([x1 - x0, y1 - y0]) + 1
-        found = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in rasterize(self.place[near] - [x0, y0], self.value[near], size, cancel):
-            np.maximum.at(found, flat, value)
-        return self._along(found.reshape(size[1], size[0]), x0 + np.arange(size[0]), y0 + np.arange(size[1]))
+        largest = np.full(size[0] * size[1], -np.inf)
+        for flat, value, _ in rasterize(self.corners[near] - [x0, y0], self.value[near], size, cancel):
+            np.maximum.at(largest, flat, value)
+        return self._along(largest.reshape(size[1], size[0]), x0 + np.arange(size[0]), y0 + np.arange(size[1]))
 
     def outlined(self, window: tuple[int, int, int, int]) -> np.ndarray:
         """bool (rows, columns): pixels of the window that an outline of a surface may cross, and those beside them.
@@ -125,7 +125,7 @@ class DepthBuffer:
         Elsewhere distances vary continuously within a pixel.
         """
         low, high = np.array(window[:2]) - 2, np.array(window[2:]) + 2
-        found = np.zeros((high - low)[::-1], bool)
+        crossed = np.zeros((high - low)[::-1], bool)
         start, end = self._outlines[:, :2], self._outlines[:, 2:]
         reached = np.all((np.minimum(start, end) < high) & (np.maximum(start, end) > low), axis=1)
         start, end = start[reached], end[reached]
@@ -137,24 +137,24 @@ class DepthBuffer:
         counts = (last - first).astype(int) + 1
         number = np.repeat(np.arange(len(counts)), counts)
         at = 0.5 * (first[number] + np.arange(len(number)) - np.repeat(np.cumsum(counts) - counts, counts))
-        share = (at - begin[number]) / np.where(far == begin, 1.0, far - begin)[number]
-        points = start[number] + np.clip(share, 0.0, 1.0)[:, None] * (end - start)[number]
+        fraction = (at - begin[number]) / np.where(far == begin, 1.0, far - begin)[number]
+        points = start[number] + np.clip(fraction, 0.0, 1.0)[:, None] * (end - start)[number]
         column, row = np.floor(points).astype(int).T - low[:, None]
-        inside = (column >= 0) & (column < found.shape[1]) & (row >= 0) & (row < found.shape[0])
-        found[row[inside], column[inside]] = True
+        inside = (column >= 0) & (column < crossed.shape[1]) & (row >= 0) & (row < crossed.shape[0])
+        crossed[row[inside], column[inside]] = True
         for _ in range(2):
-            found[1:-1] = found[:-2] | found[1:-1] | found[2:]
-            found = found.T
-        return found[2:-2, 2:-2]
+            crossed[1:-1] = crossed[:-2] | crossed[1:-1] | crossed[2:]
+            crossed = crossed.T
+        return crossed[2:-2, 2:-2]
 
     @functools.cached_property
     def _outlines(self) -> np.ndarray:
         """Ends (E, 4) in the image of those edges of triangles that no neighbour continues."""
-        if not len(self.place):
+        if not len(self.corners):
             return np.zeros((0, 4))
-        (x, y), (u, v) = ((self.place[:, k] - self.place[:, 0]).T for k in (1, 2))
+        (x, y), (u, v) = ((self.corners[:, k] - self.corners[:, 0]).T for k in (1, 2))
         turned = x * v - y * u > 0.0
-        edges = np.concatenate([self.place[:, [k, (k + 1) % 3]] for k in range(3)]).reshape(-1, 4)
+        edges = np.concatenate([self.corners[:, [k, (k + 1) % 3]] for k in range(3)]).reshape(-1, 4)
         swapped = (edges[:, 0] > edges[:, 2]) | ((edges[:, 0] == edges[:, 2]) & (edges[:, 1] > edges[:, 3]))
         edges[swapped] = edges[swapped][:, [2, 3, 0, 1]]
         order = np.lexsort(edges.T)
@@ -183,10 +183,11 @@ class DepthBuffer:
 
 @dataclass(frozen=True)
 class EndedRays:
-    """Rays of pixels, some of which surfaces end: M of them.
+    """M rays of pixels, ended by surfaces or by their intervals.
 
-    pixel: int (M,), ascending, among the pixels asked for. far: (M,), where each ends. share: (M,), fraction of the
-    pixel that it stands for. free: (M,), fraction of it that no surface ends beyond the interval either.
+    pixel: int (M,), ascending, index into the pixels of the call. far: (M,), where the ray ends. share: (M,), fraction
+    of the pixel that the ray stands for. free: (M,), fraction of the ray that no surface ends beyond the interval
+    either.
     """
 
     pixel: np.ndarray
@@ -201,39 +202,40 @@ def end_rays_at_surfaces(
     interval: tuple[np.ndarray, np.ndarray],
     cancel: CancelToken = NEVER,
 ) -> EndedRays:
-    """Rays of pixels by columns and rows, int (N,), in intervals, near and far (N,), as surfaces end them.
+    """Rays of pixels, ended by surfaces.
 
-    Within most pixels a surface is smooth, and one ray stands for all of it; others are sampled, see
-    `split_rays_at_surfaces`. A surface in front of the interval leaves no ray. Raises Cancelled.
+    pixels: columns and rows, int (N,). interval: near and far (N,). A pixel in which the surface is smooth has one ray;
+    others are sampled, see `split_rays_at_surfaces`. A surface in front of the interval leaves no ray. Raises
+    Cancelled.
     """
     (columns, rows), (near, far) = pixels, interval
-    some = np.flatnonzero(near < far)
-    if not len(some):
-        return EndedRays(some, *np.empty((3, 0)))
-    left, top, right, bottom = columns[some].min(), rows[some].min(), columns[some].max() + 1, rows[some].max() + 1
+    hit = np.flatnonzero(near < far)
+    if not len(hit):
+        return EndedRays(hit, *np.empty((3, 0)))
+    left, top, right, bottom = columns[hit].min(), rows[hit].min(), columns[hit].max() + 1, rows[hit].max() + 1
     window = left, top, right, bottom
-    corners, x, y = buffer.corner_distances(window, cancel), columns[some] - left, rows[some] - top
+    corners, x, y = buffer.corner_distances(window, cancel), columns[hit] - left, rows[hit] - top
     ends = np.stack([corners[y + down, x + across] for down in (0, 1) for across in (0, 1)])
-    hidden, first, last = np.isinf(ends), near[some], far[some]
+    hidden, first, last = np.isinf(ends), near[hit], far[hit]
     clipped = np.clip(ends, first, last)
     smooth = ~buffer.outlined(window)[y, x] & (hidden.all(axis=0) | ~hidden.any(axis=0))
     smooth &= np.ptp(clipped, axis=0) * DISTANCES <= last - first
     end = np.minimum(clipped.mean(axis=0), last)
-    kept = smooth & (end > first)
-    whole = EndedRays(some[kept], end[kept], np.ones(kept.sum()), hidden[0, kept].astype(float))
-    numbers, distances, rough = [some[:0]], [np.empty((0, SAMPLES**2))], some[~smooth]
+    visible = smooth & (end > first)
+    unsplit = EndedRays(hit[visible], end[visible], np.ones(visible.sum()), hidden[0, visible].astype(float))
+    numbers, distances, rough = [hit[:0]], [np.empty((0, SAMPLES**2))], hit[~smooth]
     tile = (columns[rough] - left) // TILE + (rows[rough] - top) // TILE * (1 + (right - left) // TILE)
     order = np.argsort(tile, kind="stable")
-    for part in np.split(rough[order], np.flatnonzero(np.diff(tile[order])) + 1) if len(rough) else ():
-        x0, y0, x1, y1 = columns[part].min(), rows[part].min(), columns[part].max() + 1, rows[part].max() + 1
-        found = buffer.distances((x0, y0, x1, y1), cancel)
-        distances.append(found[(rows[part] - y0) * (x1 - x0) + columns[part] - x0])
-        numbers.append(part)
+    for group in np.split(rough[order], np.flatnonzero(np.diff(tile[order])) + 1) if len(rough) else ():
+        x0, y0, x1, y1 = columns[group].min(), rows[group].min(), columns[group].max() + 1, rows[group].max() + 1
+        sampled = buffer.distances((x0, y0, x1, y1), cancel)
+        distances.append(sampled[(rows[group] - y0) * (x1 - x0) + columns[group] - x0])
+        numbers.append(group)
     number = np.concatenate(numbers)
     pixel, *values = split_rays_at_surfaces(near[number], far[number], np.concatenate(distances))
     split = EndedRays(number[pixel], *values)
-    order = np.argsort(np.concatenate([whole.pixel, split.pixel]), kind="stable")
-    return EndedRays(*(np.concatenate(pair)[order] for pair in zip(vars(whole).values(), vars(split).values())))
+    order = np.argsort(np.concatenate([unsplit.pixel, split.pixel]), kind="stable")
+    return EndedRays(*(np.concatenate(pair)[order] for pair in zip(vars(unsplit).values(), vars(split).values())))
 
 
 def split_rays_at_surfaces(
@@ -244,7 +246,7 @@ def split_rays_at_surfaces(
     pixel: ascending. share: fraction of the pixel that the ray stands for. free: fraction of the ray that no surface
     ends beyond the interval either. A surface in front of the interval leaves no ray.
     """
-    # Pixels without an interval get one of length 0.
+    # Pixels without an interval get an empty interval.
     near, far = (np.where(near < far, ends, 0.0) for ends in (near, far))
     ends = np.clip(distances, near[:, None], far[:, None])
     length = np.where(far > near, far - near, 1.0)[:, None]
@@ -261,21 +263,21 @@ def split_rays_at_surfaces(
 def _beyond(corners: np.ndarray, closest: float) -> tuple[np.ndarray, np.ndarray]:
     """Clip triangles (T, 3, 3), seen along -z, to the half-space behind the plane z = -closest.
 
-    Also returns of which triangle each is a part.
+    Also returns the number of the triangle that each was clipped from.
     """
     depth = -corners[..., 2] - closest
     ahead = (depth > 0.0).sum(axis=1)
-    parts, numbers = [corners[ahead == 3]], [np.flatnonzero(ahead == 3)]
+    clipped, numbers = [corners[ahead == 3]], [np.flatnonzero(ahead == 3)]
     for inside in (1, 2):
-        some, d = corners[ahead == inside], depth[ahead == inside]
+        cut, d = corners[ahead == inside], depth[ahead == inside]
         numbers += [np.flatnonzero(ahead == inside)] * inside
         # Rotate the corner that is alone on its side to the front.
         first = (d > 0.0).argmax(axis=1) if inside == 1 else (d <= 0.0).argmax(axis=1)
         order = (first[:, None] + np.arange(3)) % 3
-        some, d = np.take_along_axis(some, order[..., None], 1), np.take_along_axis(d, order, 1)
-        a, b = (some[:, 0] + (d[:, 0] / (d[:, 0] - d[:, k]))[:, None] * (some[:, k] - some[:, 0]) for k in (1, 2))
+        cut, d = np.take_along_axis(cut, order[..., None], 1), np.take_along_axis(d, order, 1)
+        a, b = (cut[:, 0] + (d[:, 0] / (d[:, 0] - d[:, k]))[:, None] * (cut[:, k] - cut[:, 0]) for k in (1, 2))
         if inside == 1:
-            parts.append(np.stack([some[:, 0], a, b], axis=1))
+            clipped.append(np.stack([cut[:, 0], a, b], axis=1))
         else:
-            parts += [np.stack([a, some[:, 1], some[:, 2]], axis=1), np.stack([a, some[:, 2], b], axis=1)]
-    return np.concatenate(parts), np.concatenate(numbers)
+            clipped += [np.stack([a, cut[:, 1], cut[:, 2]], axis=1), np.stack([a, cut[:, 2], b], axis=1)]
+    return np.concatenate(clipped), np.concatenate(numbers)

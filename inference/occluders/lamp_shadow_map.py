@@ -17,7 +17,7 @@ CELLS = 1024
 class LampShadowMap:
     """Distance of the nearest surface from a point, in all directions, on the faces of a cube around it.
 
-    distances: float32 (6, n, n), infinity where there is none.
+    distances: float32 (6, n, n), infinity where there is no surface.
     """
 
     def __init__(
@@ -35,9 +35,9 @@ class LampShadowMap:
                 matrix[:3, :3], matrix[:3, 3] = np.stack(columns, axis=1), position
                 self.frames.append(matrix[:3, :3])
                 camera = Camera(matrix, resolution=(size, size), fov=np.pi / 2.0)
-                found = DepthBuffer(surfaces, camera, cancel).distances(camera.window, cancel)
-                found = found.reshape(size, size, SAMPLES, SAMPLES).transpose(0, 2, 1, 3)
-                faces.append(found.reshape(cells, cells))
+                distances = DepthBuffer(surfaces, camera, cancel).distances(camera.window, cancel)
+                distances = distances.reshape(size, size, SAMPLES, SAMPLES).transpose(0, 2, 1, 3)
+                faces.append(distances.reshape(cells, cells))
         self.distances = np.stack(faces).astype(np.float32)
 
     @property
@@ -55,7 +55,7 @@ class LampShadowMap:
         along = np.take_along_axis(away, axis[:, None], 1)[:, 0]
         face = 2 * axis + (along < 0.0)
         distance = np.linalg.norm(away, axis=1).astype(np.float32)
-        cells, share = self.distances.shape[1], np.zeros(len(away), np.float32)
+        cells, visibility = self.distances.shape[1], np.zeros(len(away), np.float32)
         local = np.einsum("nij,ni->nj", np.stack(self.frames)[face], away)
         depth = np.maximum(-local[:, 2], 1e-30)
         column = (local[:, 0] / depth + 1.0) * (0.5 * cells) - 0.5
@@ -64,6 +64,6 @@ class LampShadowMap:
         u, v = (column - left).astype(np.float32), (row - top).astype(np.float32)
         for i, x in ((left, 1.0 - u), (left + 1.0, u)):
             for j, y in ((top, 1.0 - v), (top + 1.0, v)):
-                place = (face, np.clip(j, 0, cells - 1).astype(int), np.clip(i, 0, cells - 1).astype(int))
-                share += x * y * (distance <= self.distances[place])
-        return share
+                cell = (face, np.clip(j, 0, cells - 1).astype(int), np.clip(i, 0, cells - 1).astype(int))
+                visibility += x * y * (distance <= self.distances[cell])
+        return visibility

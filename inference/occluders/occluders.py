@@ -32,14 +32,14 @@ class Occluders:
 
     def shadow_map(self, sun: Sun) -> ShadowMap | None:
         """ShadowMap of a sun, or None."""
-        for known, shadow_map in zip(self.suns, self.shadow_maps or ()):
-            if np.array_equal(known.direction, sun.direction) and known.screen_key == sun.screen_key:
+        for candidate, shadow_map in zip(self.suns, self.shadow_maps or ()):
+            if np.array_equal(candidate.direction, sun.direction) and candidate.screen_key == sun.screen_key:
                 return shadow_map
         return None
 
     @functools.cached_property
     def key(self) -> bytes:
-        """Digest that is equal for occluders of equal effect; empty for those without any."""
+        """Digest that is equal for occluders of equal effect; empty if nothing occludes."""
         if not self:
             return b""
         digest = hashlib.blake2b(digest_size=16)
@@ -57,7 +57,7 @@ NO_OCCLUDERS = Occluders([], None, np.zeros((0, 3, 3)), [])
 def find_occluders(
     surfaces: Sequence[Surface], suns: Sequence[Sun], corners: np.ndarray, cancel: CancelToken = NEVER
 ) -> tuple[Occluders, list[int]]:
-    """Occluders of the light in volumes, and the numbers of the suns some of whose light reaches the volumes.
+    """Occluders of the light in volumes, and the numbers of the suns that surfaces do not block entirely.
 
     corners: (8 B, 3) of the boxes of B volumes. Raises Cancelled.
     """
@@ -88,7 +88,7 @@ def find_occluders(
 
 
 def select_suns(occluders: Occluders, numbers: Sequence[int], corners: np.ndarray) -> Occluders:
-    """Occluders for some of the suns, by number; corners as for `find_occluders`."""
+    """Occluders for the suns with these numbers; corners as for `find_occluders`."""
     maps = [occluders.shadow_maps[n] for n in numbers] if occluders.shadow_maps else []
     shaded = any(shadow_map.shades(corners.reshape(-1, 8, 3)) for shadow_map in maps)
     return Occluders(

@@ -44,60 +44,60 @@ class ShadowMap:
         size = np.maximum(np.ceil((high - low)[:2] / cell), 1).astype(int)
         heights = np.full(size[0] * size[1], -np.inf)
         for triangles in surfaces:
-            place = triangles @ self.linear.T + self.offset
-            for flat, height, _ in rasterize(place[..., :2], place[..., 2], size, cancel):
+            projected = triangles @ self.linear.T + self.offset
+            for flat, height, _ in rasterize(projected[..., :2], projected[..., 2], size, cancel):
                 np.maximum.at(heights, flat, height)
         self.heights = heights.reshape(size[1], size[0]).astype(np.float32)
 
     def shades(self, corners: np.ndarray) -> bool:
-        """Whether surfaces shadow any part of some boxes; corners: (B, 8, 3), in the order of `Grid.corners`."""
-        return any(np.any(self._cells_below(box, every)[1]) for every in (COARSE, 1) for box in corners)
+        """Whether surfaces shadow any part of the boxes; corners: (B, 8, 3), in the order of `Grid.corners`."""
+        return any(np.any(self._cells_below(box, stride)[1]) for stride in (COARSE, 1) for box in corners)
 
     def darkens(self, corners: np.ndarray) -> bool:
-        """Whether surfaces shadow all of some boxes, so that none of the sun's light reaches them.
+        """Whether surfaces shadow the boxes entirely, so that none of the sun's light reaches them.
 
         corners: as for `shades`.
         """
-        return all(np.all(self._cells_below(box, every, MARGIN)[0]) for every in (COARSE, 1) for box in corners)
+        return all(np.all(self._cells_below(box, stride, MARGIN)[0]) for stride in (COARSE, 1) for box in corners)
 
-    def _cells_below(self, box: np.ndarray, every: int, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Per cell whose column a box meets: whether surfaces lie above all of the box there, and above any of it.
+    def _cells_below(self, box: np.ndarray, stride: int, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Whether surfaces lie above all of a box, and above any of it, in each cell whose column meets the box.
 
-        box: (8, 3). every: only one in so many rows and columns. margin: fraction of its size by which the box is
+        box: (8, 3). stride: from one tested row or column to the next. margin: fraction of its size by which the box is
         widened.
         """
-        heights = self.heights[::every, ::every]
+        heights = self.heights[::stride, ::stride]
         row, column = np.indices(heights.shape).reshape(2, -1)
         # A cell's column as a ray, in the frame in which the box is the unit cube.
-        place = box @ self.linear.T + self.offset
-        turn = inverse(place[[4, 2, 1]] - place[0])
-        foot = np.stack([column * every, row * every, np.zeros(len(row))], axis=1)
-        low, high = box_interval(product(foot - place[0], turn), turn[2:], -margin, 1.0 + margin)
+        projected = box @ self.linear.T + self.offset
+        turn = inverse(projected[[4, 2, 1]] - projected[0])
+        foot = np.stack([column * stride, row * stride, np.zeros(len(row))], axis=1)
+        low, high = box_interval(product(foot - projected[0], turn), turn[2:], -margin, 1.0 + margin)
         met = low < high
         return heights.reshape(-1)[met] > high[met], heights.reshape(-1)[met] > low[met]
 
     def transformed(self, linear: np.ndarray, centre: np.ndarray) -> "ShadowMap":
         """The same map in a frame whose x is the world's linear @ x + centre; linear: (3, 3), centre: (3,)."""
-        found = copy.copy(self)
-        found.linear, found.offset = self.linear @ linear, self.linear @ centre + self.offset
-        return found
+        moved = copy.copy(self)
+        moved.linear, moved.offset = self.linear @ linear, self.linear @ centre + self.offset
+        return moved
 
     def cell_visibility(self, cells: int, margin: int = 0, parts: int = 1) -> np.ndarray:
-        """Mean visibility of the sun in the cells of the cube from -1/2 to 1/2, and in some around it.
+        """Mean visibility of the sun in the cells of the cube from -1/2 to 1/2, and in a margin of cells around it.
 
         cells: along an edge of the cube. margin: further cells beyond each face. parts: sample points along an edge of
         a cell. Returns float32 (n, n, n), n = cells + 2 margin.
         """
         count = cells + 2 * margin
-        place = (np.arange(count * parts) + 0.5) / (cells * parts) - margin / cells - 0.5
-        x, y, z = ((self.linear[:, axis, None] * place).astype(np.float32) for axis in range(3))
+        position = (np.arange(count * parts) + 0.5) / (cells * parts) - margin / cells - 0.5
+        x, y, z = ((self.linear[:, axis, None] * position).astype(np.float32) for axis in range(3))
         z += self.offset[:, None].astype(np.float32)
-        share = np.empty((count,) * 3, np.float32)
+        visibility = np.empty((count,) * 3, np.float32)
         for i in range(count):
             slab = x[:, i * parts : (i + 1) * parts, None, None] + (y[:, :, None] + z[:, None])[:, None]
-            found = self.visibility(slab.reshape(3, -1)).reshape(parts, count, parts, count, parts)
-            share[i] = found.mean(axis=(0, 2, 4))
-        return share
+            samples = self.visibility(slab.reshape(3, -1)).reshape(parts, count, parts, count, parts)
+            visibility[i] = samples.mean(axis=(0, 2, 4))
+        return visibility
 
     def visibility(self, index: np.ndarray) -> np.ndarray:
         """Visibility of the sun (N,) from 0 to 1 at indices float32 (3, N), by percentage-closer filtering.
@@ -109,10 +109,10 @@ class ShadowMap:
         right, up = column - left, row - low
         rows, columns = self.heights.shape
         heights = self.heights.reshape(-1)
-        share = np.zeros(len(height), np.float32)
+        visibility = np.zeros(len(height), np.float32)
         for i, x in ((left, 1.0 - right), (left + 1.0, right)):
             i = np.clip(i, 0, columns - 1).astype(np.int32)
             for j, y in ((low, 1.0 - up), (low + 1.0, up)):
                 j = np.clip(j, 0, rows - 1).astype(np.int32)
-                share += x * y * (height >= heights.take(j * columns + i))
-        return share
+                visibility += x * y * (height >= heights.take(j * columns + i))
+        return visibility

@@ -21,7 +21,7 @@ VARINT, EIGHT_BYTES, LENGTH, FOUR_BYTES = 0, 1, 2, 5
 
 
 class MalformedFile(ValueError):
-    """A file that is no ONNX file, or holds what its reader does not know."""
+    """A file that is no ONNX file, or holds fields, types or operators that are not supported."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Model:
-    """A graph with its weights. nodes: in an order in which each follows what it reads. metadata: texts by key."""
+    """A graph with its weights. nodes: in an order in which each follows its inputs. metadata: texts by key."""
 
     inputs: tuple[Input, ...]
     outputs: tuple[str, ...]
@@ -73,7 +73,7 @@ def read_model(content: bytes) -> Model:
 
 def _fields(message: bytes) -> defaultdict[int, list[Any]]:
     """Values of a message by field number: integers, and bytes for everything else."""
-    found: defaultdict[int, list[Any]] = defaultdict(list)
+    fields: defaultdict[int, list[Any]] = defaultdict(list)
     position = 0
     while position < len(message):
         tag, position = _varint(message, position)
@@ -92,8 +92,8 @@ def _fields(message: bytes) -> defaultdict[int, list[Any]]:
             if len(value) < size:
                 raise MalformedFile("the file ends early")
             position += size
-        found[tag >> 3].append(value)
-    return found
+        fields[tag >> 3].append(value)
+    return fields
 
 
 def _varint(message: bytes, position: int) -> tuple[int, int]:
@@ -127,59 +127,59 @@ def _integers(values: list[Any]) -> Iterator[int]:
 
 def _tensor(data: bytes) -> tuple[str, np.ndarray]:
     """Name and read-only array of a TensorProto."""
-    found = _fields(data)
-    if found[13] or found[14]:
+    fields = _fields(data)
+    if fields[13] or fields[14]:
         raise MalformedFile("its weights are in another file")
-    kind = found[2][0]
+    kind = fields[2][0]
     if kind not in DTYPES:
         raise MalformedFile(f"tensors of type {kind} are unknown")
     dtype = DTYPES[kind]
-    if found[9]:
-        values = np.frombuffer(found[9][0], dtype)
+    if fields[9]:
+        values = np.frombuffer(fields[9][0], dtype)
     elif kind == 1:
-        values = np.frombuffer(b"".join(found[4]), dtype)
+        values = np.frombuffer(b"".join(fields[4]), dtype)
     else:
-        values = np.array(list(_integers(found[5 if kind == 6 else 7])), dtype)
-    shape = tuple(_integers(found[1]))
+        values = np.array(list(_integers(fields[5 if kind == 6 else 7])), dtype)
+    shape = tuple(_integers(fields[1]))
     if values.size != int(np.prod(shape, dtype=np.int64)):
         raise MalformedFile(f"a tensor of shape {shape} holds {values.size} numbers")
     values.flags.writeable = False
-    return found[8][0].decode(), values.reshape(shape)
+    return fields[8][0].decode(), values.reshape(shape)
 
 
 def _input(data: bytes) -> Input:
-    found = _fields(data)
-    tensor = _fields(_fields(found[2][0])[1][0])
+    fields = _fields(data)
+    tensor = _fields(_fields(fields[2][0])[1][0])
     dimensions = [_fields(dimension) for dimension in _fields(tensor[2][0])[1]]
     shape = tuple(size[2][0].decode() if size[2] else _signed(size[1][0]) for size in dimensions)
     return Input(
-        name=found[1][0].decode(),
+        name=fields[1][0].decode(),
         type={1: "tensor(float)", 6: "tensor(int32)", 7: "tensor(int64)"}[tensor[1][0]],
         shape=shape,
     )
 
 
 def _node(data: bytes) -> Node:
-    found = _fields(data)
+    fields = _fields(data)
     return Node(
-        operation=found[4][0].decode(),
-        inputs=tuple(name.decode() for name in found[1]),
-        outputs=tuple(name.decode() for name in found[2]),
-        attributes=dict(_attribute(attribute) for attribute in found[5]),
+        operation=fields[4][0].decode(),
+        inputs=tuple(name.decode() for name in fields[1]),
+        outputs=tuple(name.decode() for name in fields[2]),
+        attributes=dict(_attribute(attribute) for attribute in fields[5]),
     )
 
 
 def _attribute(data: bytes) -> tuple[str, Any]:
     """Name and value of an AttributeProto: a number, a tensor, or numbers."""
-    found = _fields(data)
-    name, kind = found[1][0].decode(), found[20][0]
+    fields = _fields(data)
+    name, kind = fields[1][0].decode(), fields[20][0]
     if kind == 1:
-        return name, struct.unpack("<f", found[2][0])[0]
+        return name, struct.unpack("<f", fields[2][0])[0]
     if kind == 2:
         # A value of 0 may be left out.
-        return name, _signed(found[3][0]) if found[3] else 0
+        return name, _signed(fields[3][0]) if fields[3] else 0
     if kind == 4:
-        return name, _tensor(found[5][0])[1]
+        return name, _tensor(fields[5][0])[1]
     if kind == 7:
-        return name, tuple(_integers(found[8]))
+        return name, tuple(_integers(fields[8]))
     raise MalformedFile(f"attribute {name} is of unknown type {kind}")

@@ -74,7 +74,7 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "Abs": np.abs,
     "Add": np.add,
     "Clip": _clip,
-    "Concat": lambda *parts, axis: np.concatenate(parts, axis),
+    "Concat": lambda *arrays, axis: np.concatenate(arrays, axis),
     "Cos": np.cos,
     "Div": np.divide,
     "Exp": np.exp,

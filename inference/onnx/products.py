@@ -9,12 +9,12 @@ import numpy as np
 from ..kernels.library import call
 from ..kernels.structures import PANEL
 
-# Multiplications per call of the kernel: some 50 ms on the slowest processors.
+# Multiplications per call of the kernel: about 50 ms on the slowest processors.
 MOST_PER_CALL = 500_000_000
 
 
 class Weights:
-    """A matrix that others are multiplied with from the left.
+    """A matrix that other matrices are multiplied with from the left.
 
     matrix: float32 (inner, columns).
     """
@@ -24,8 +24,8 @@ class Weights:
         self._matrix = matrix
         panels = np.zeros((-(-columns // PANEL), inner, PANEL), np.float32)
         for number, panel in enumerate(panels):
-            part = matrix[:, number * PANEL : (number + 1) * PANEL]
-            panel[:, : part.shape[1]] = part
+            block = matrix[:, number * PANEL : (number + 1) * PANEL]
+            panel[:, : block.shape[1]] = block
         self._panels = panels
 
     def product(self, left: np.ndarray) -> np.ndarray:
@@ -37,14 +37,14 @@ class Weights:
         out = np.empty((count, columns), np.float32)
         rows = max(MOST_PER_CALL // max(inner * columns, 1), 1)
         for first in range(0, count, rows):
-            part, found = left[first : first + rows], out[first : first + rows]
+            batch, products = left[first : first + rows], out[first : first + rows]
             call(
                 "multiply",
-                rows=len(part),
+                rows=len(batch),
                 inner=inner,
                 columns=columns,
-                left=part,
+                left=batch,
                 right=self._panels,
-                out=found,
+                out=products,
             )
         return out

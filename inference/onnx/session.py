@@ -24,7 +24,7 @@ class Metadata:
 class _Step:
     """A node that is ready to run.
 
-    inputs, outputs, released, spent: names. Those released are not read again, and those spent may be written over.
+    inputs, outputs, released, spent: names. Released values are not read again; spent values may be written over.
     """
 
     run: Callable[..., Any]
@@ -61,25 +61,25 @@ class Session:
         return Metadata(self._model.metadata)
 
     def get_providers(self) -> list[str]:
-        """What runs the graph, as onnxruntime names it."""
+        """The execution providers, by onnxruntime's names."""
         return ["CPUExecutionProvider"]
 
     def run(self, outputs: Sequence[str], inputs: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-        """Values of outputs, by name. inputs: arrays of the types and shapes that `get_inputs` tells."""
-        known: dict[str, Any] = {"": None, **self._model.weights, **inputs}
+        """Values of outputs, by name. inputs: arrays of the types and shapes that `get_inputs` returns."""
+        values: dict[str, Any] = {"": None, **self._model.weights, **inputs}
         # As silent as onnxruntime about infinities.
         with np.errstate(all="ignore"):
             for step in self._steps:
-                values = [known[name] for name in step.inputs]
-                found = step.run(*values, **_written_over(step, values))
-                known.update(zip(step.outputs, found if isinstance(found, list) else [found]))
+                arguments = [values[name] for name in step.inputs]
+                results = step.run(*arguments, **_written_over(step, arguments))
+                values.update(zip(step.outputs, results if isinstance(results, list) else [results]))
                 for name in step.released:
-                    del known[name]
-        return [np.asarray(known[name]) for name in outputs]
+                    del values[name]
+        return [np.asarray(values[name]) for name in outputs]
 
 
 def _written_over(step: _Step, values: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """The input of a step that its output may take the memory of, as `out`."""
+    """As `out`, the input of a step whose memory the output may use; empty if there is none."""
     if step.spent:
         shape = np.broadcast_shapes(*(value.shape for value in values))
         for name, value in zip(step.inputs, values):
@@ -109,8 +109,8 @@ def _step(
 def _product(matrix: Weights) -> Callable[..., np.ndarray]:
     def run(left: np.ndarray, more: np.ndarray | None = None) -> np.ndarray:
         rows = matrix.product(left.reshape(-1, left.shape[-1]))
-        found = rows.reshape(*left.shape[:-1], rows.shape[-1])
-        return found if more is None else np.add(found, more, out=found)
+        products = rows.reshape(*left.shape[:-1], rows.shape[-1])
+        return products if more is None else np.add(products, more, out=products)
 
     return run
 
@@ -123,11 +123,11 @@ def _own_memory(model: Model) -> frozenset[str]:
 
 
 def _last_uses(model: Model) -> list[tuple[str, ...]]:
-    """Of each node, the values between nodes that no later node reads."""
-    kept = {"", *model.weights, *(one.name for one in model.inputs), *model.outputs}
+    """For each node, the values between nodes that no later node reads."""
+    retained = {"", *model.weights, *(entry.name for entry in model.inputs), *model.outputs}
     last = {name: number for number, node in enumerate(model.nodes) for name in (*node.outputs, *node.inputs)}
     released: list[list[str]] = [[] for _ in model.nodes]
     for name, number in last.items():
-        if name not in kept:
+        if name not in retained:
             released[number].append(name)
     return [tuple(names) for names in released]

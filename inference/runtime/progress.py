@@ -2,8 +2,8 @@
 """Progress in time rather than in steps, from the rates measured on this machine.
 
 A render states how much of each stage it expects (marched steps, network points, ...) and how much is done. The time
-left is the rest of each stage at that stage's own rate: seconds per unit so far in this render, or before that the rate
-of the last render of this process. The fraction reported is elapsed / (elapsed + left), so that elapsed / fraction -
+left is the rest of each stage at that stage's own rate: seconds per unit so far in this render, or at first the rate in
+the last render of this process. The fraction reported is elapsed / (elapsed + left), so that elapsed / fraction -
 elapsed is the time left."""
 
 import contextlib
@@ -19,10 +19,10 @@ SECONDS_PER_UNIT = {
     "march": 6e-7,  # per evaluated step
     "network": 8e-6,  # per point
 }
-# Seconds of a stage after which its rate is its own.
+# Seconds of a stage after which its rate in this render is used.
 ENOUGH = 0.2
-# Until all stages are known, a fraction that nears UNKNOWN_SHARE, half of it after so many seconds.
-UNKNOWN_SHARE, UNKNOWN_SECONDS = 0.2, 5.0
+# Until all stages are known, the fraction approaches UNKNOWN_FRACTION; half of it after UNKNOWN_SECONDS.
+UNKNOWN_FRACTION, UNKNOWN_SECONDS = 0.2, 5.0
 
 _measured: dict[str, float] = {}
 _measuring = threading.Lock()
@@ -66,7 +66,7 @@ class Progress:
         return self._done[stage]
 
     def advance(self, stage: str, amount: float, seconds: float = 0.0) -> None:
-        """Count so much more of a stage as done; seconds: that it took, where no block is timed."""
+        """Count an amount of a stage as done; seconds: that it took, where no block is timed."""
         self._done[stage] += amount
         self._spent[stage] += seconds
         self._tell()
@@ -103,7 +103,7 @@ class Progress:
         if len(self._expected) == len(SECONDS_PER_UNIT):
             fraction = elapsed / max(elapsed + self._remaining(), 1e-9)
         else:
-            fraction = UNKNOWN_SHARE * elapsed / (elapsed + UNKNOWN_SECONDS)
-        # Estimates are revised; what is shown never goes back, and the end is told by `finish`.
+            fraction = UNKNOWN_FRACTION * elapsed / (elapsed + UNKNOWN_SECONDS)
+        # Estimates are revised; the reported fraction never falls, and `finish` reports the end.
         self._fraction = max(self._fraction, min(fraction, 0.999))
         self._callback(self._fraction, self._message)

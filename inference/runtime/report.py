@@ -11,10 +11,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """What is expected of a picture's error, relative to its mean.
+    """Expected error of a picture, relative to its mean.
 
-    error: root mean square over the pixels. low, high: between which it lies in 95 of 100 pictures. bias: the mean
-    error lies between -bias and bias in as many. where: it is largest, in words.
+    error: root mean square over the pixels. low, high: its 95 % interval. bias: the mean error lies between -bias and
+    bias in 95 of 100 pictures. where: the region in which the error is largest, in words.
     """
 
     error: float
@@ -24,13 +24,13 @@ class ExpectedError:
     where: str = ""
 
     def __str__(self) -> str:
-        """For example: 6 % (3-11 %), mostly in the upper left, at the rim."""
-        place = f", mostly in the {self.where}" if self.where else ""
-        return f"{_percent(self.error)} % ({_percent(self.low)}\u2013{_percent(self.high)} %){place}"
+        """A text such as "6 % (3-11 %), mostly in the upper left, at the rim"."""
+        suffix = f", mostly in the {self.where}" if self.where else ""
+        return f"{_percent(self.error)} % ({_percent(self.low)}\u2013{_percent(self.high)} %){suffix}"
 
 
 def _percent(value: float) -> str:
-    """Of a fraction, with two significant digits below 10 %."""
+    """A fraction in percent, with two significant digits below 10 %."""
     return f"{100.0 * value:.1f}" if value < 0.0995 else f"{100.0 * value:.0f}"
 
 
@@ -44,7 +44,7 @@ class Report:
     counts: of pixels, rays, steps and points. saved: approximate seconds that each optimization saved, see
     `plan.savings`. seconds: wall-clock time per stage; of stages that several threads do side by side, the mean over
     the threads. "total" is measured separately. expected_error: of the picture; None where nothing is predicted, and
-    where the error of what predicts is not known. cpu_seconds: processor time of all threads of the process per stage.
+    where the network's error is not known. cpu_seconds: processor time of all threads of the process per stage.
     peak_memory: bytes of the whole process, None where the platform does not tell.
     """
 
@@ -69,13 +69,13 @@ class Report:
 
     @classmethod
     def of_thread(cls) -> "Report":
-        """For a part of a render, all of which the calling thread does; to be merged into the render's."""
+        """A report for a part of a render that the calling thread does alone, to be merged into the render's."""
         report = cls()
         report._processor_time = time.thread_time
         return report
 
     def merge(self, part: "Report", threads: int) -> None:
-        """Add what a part of the render counted; threads: number of parts that run side by side."""
+        """Add the report of a part of the render; threads: number of parts that run side by side."""
         for name, number in part.counts.items():
             self.count(name, number)
         for name, seconds in part.seconds.items():
@@ -85,9 +85,9 @@ class Report:
 
     def add_seconds(self, before: "Report") -> None:
         """Add the time of a render before this one, whose results it uses."""
-        for mine, other in ((self.seconds, before.seconds), (self.cpu_seconds, before.cpu_seconds)):
+        for total, other in ((self.seconds, before.seconds), (self.cpu_seconds, before.cpu_seconds)):
             for name, seconds in other.items():
-                mine[name] = mine.get(name, 0.0) + seconds
+                total[name] = total.get(name, 0.0) + seconds
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Add the warnings that are not there yet."""
@@ -118,10 +118,10 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as plain types, for JSON and image metadata."""
-        found = {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        fields = {name: value for name, value in vars(self).items() if not name.startswith("_")}
         if self.expected_error is not None:
-            found["expected_error"] = asdict(self.expected_error)
-        return found
+            fields["expected_error"] = asdict(self.expected_error)
+        return fields
 
 
 def process_peak_memory() -> int | None:

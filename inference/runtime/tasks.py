@@ -17,7 +17,7 @@ class Tasks:
     """A thread pool that yields results in order of submission.
 
     threads: number of worker threads, 0 for one per core. cancel: polled while the calling thread waits. stopping: not
-    0 once what tasks still compute is not wanted any more; compiled code looks at it.
+    0 once results are no longer wanted; compiled code polls it.
     """
 
     def __init__(self, threads: int = 0, cancel: CancelToken = NEVER):
@@ -76,5 +76,5 @@ class SerialTasks:
 
 #: For callers without a pool.
 SERIAL = SerialTasks()
-#: What functions that run tasks take.
+#: Parameter of functions that run tasks.
 AnyTasks = Tasks | SerialTasks

@@ -14,8 +14,9 @@ from .validation import affine_matrix
 class SphericalEye:
     """An eye that looks around: its rays start beside the camera, to the right of their direction.
 
-    offset: by how much, world units; negative for the left eye. convergence: distance from the camera at which both
-    eyes' rays of a pixel meet. merge: angles above and below the horizon between which the offset fades to 0, radians.
+    offset: distance of the rays' start from the camera, world units; negative for the left eye. convergence: distance
+    from the camera at which both eyes' rays of a pixel meet. merge: angles above and below the horizon between which
+    the offset fades to 0, radians.
     """
 
     offset: float
@@ -35,7 +36,7 @@ class Camera:
     longitude, latitude: (left, right) and (lower, upper) edges in radians, 0 straight ahead, positive to the right and
         up (equirectangular).
     clip: (near, far) distances along the viewing axis; along each ray for equirectangular cameras.
-    exposure: what radiance is multiplied by in the layer, which Cycles calls *Film > Exposure*.
+    exposure: factor of radiance in the layer, which Cycles calls *Film > Exposure*.
     eye: of spherical stereo (equirectangular).
     region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
         whole image. The layer has the size of the region.

@@ -21,7 +21,7 @@ def camera_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
 def pixel_rays(
     camera: Camera, columns: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """As `camera_rays`, through some pixels of the image."""
+    """As `camera_rays`, through pixels of the image by column and row, int (N,)."""
     origins, directions, cosine = image_rays(camera, columns + 0.5, rows + 0.5)
     # Clipping planes are perpendicular to the viewing axis; those of equirectangular cameras are spheres.
     return origins, directions, camera.clip[0] / cosine, camera.clip[1] / cosine
@@ -72,8 +72,8 @@ def _spherical(eye: SphericalEye, local: np.ndarray, latitude: np.ndarray) -> tu
     offset = np.full_like(latitude, eye.offset)
     if eye.merge is not None:
         low, high = eye.merge
-        share = np.clip((np.abs(latitude) - low) / max(high - low, 1e-12), 0.0, 1.0)
-        offset *= np.cos(0.5 * np.pi * share)
+        fraction = np.clip((np.abs(latitude) - low) / max(high - low, 1e-12), 0.0, 1.0)
+        offset *= np.cos(0.5 * np.pi * fraction)
     right = np.stack([-local[:, 2], np.zeros_like(latitude), local[:, 0]], axis=1)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
     beside = offset[:, None] * right
@@ -103,14 +103,14 @@ def widest_angle(camera: Camera) -> float:
     return float(2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height) / width))
 
 
-def _lerp(ends: tuple[float, float], share: np.ndarray) -> np.ndarray:
-    return ends[0] + (ends[1] - ends[0]) * share
+def _lerp(ends: tuple[float, float], fraction: np.ndarray) -> np.ndarray:
+    return ends[0] + (ends[1] - ends[0]) * fraction
 
 
 def image_points(camera: Camera, points: np.ndarray) -> np.ndarray | None:
     """Where world points (..., 3) are seen, (2, ...) in pixels from the image's upper left corner.
 
-    None where some lie beside or behind the camera, and for equirectangular cameras.
+    None if any point lies beside or behind the camera, and for equirectangular cameras.
     """
     if camera.projection == "equirectangular":
         return None
@@ -130,14 +130,14 @@ def image_points(camera: Camera, points: np.ndarray) -> np.ndarray | None:
 def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, int]:
     """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the convex hull of world points (N, 3).
 
-    The whole window where `image_points` does not say.
+    The whole window where `image_points` is None.
     """
     x0, y0, x1, y1 = camera.window
-    places = image_points(camera, corners)
-    if places is None:
+    pixels = image_points(camera, corners)
+    if pixels is None:
         return x0, y0, x1, y1
     # One pixel more on each side, for rounding.
-    low, high = np.floor(places.min(axis=1)) - 1.0, np.ceil(places.max(axis=1)) + 1.0
+    low, high = np.floor(pixels.min(axis=1)) - 1.0, np.ceil(pixels.max(axis=1)) + 1.0
     if not np.isfinite([low, high]).all():
         return x0, y0, x1, y1
     left, top = np.clip(low, [x0, y0], [x1, y1]).astype(int).tolist()
@@ -145,35 +145,35 @@ def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, i
     return left, top, right, bottom
 
 
-def pixels_around(camera: Camera, held: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """bool (rows, columns): pixels of the camera's window that can show any of some cells.
+def pixels_around(camera: Camera, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """bool (rows, columns): pixels of the camera's window that can show any of the cells.
 
-    held: bool (x, y, z), the cells. corners: (x + 1, y + 1, z + 1, 3), of all of them in the world. All pixels where
-    `image_points` does not say.
+    cells: bool (x, y, z). corners: (x + 1, y + 1, z + 1, 3), of the whole lattice in the world. All pixels where
+    `image_points` is None.
     """
     x0, y0, x1, y1 = camera.window
-    places = image_points(camera, corners)
-    if places is None or not np.isfinite(places).all():
+    pixels = image_points(camera, corners)
+    if pixels is None or not np.isfinite(pixels).all():
         return np.ones((y1 - y0, x1 - x0), bool)
-    low, high = places, places
+    low, high = pixels, pixels
     for axis in range(1, 4):
-        lower, upper = ((slice(None),) * axis + (some,) for some in (slice(None, -1), slice(1, None)))
+        lower, upper = ((slice(None),) * axis + (half,) for half in (slice(None, -1), slice(1, None)))
         low, high = np.minimum(low[lower], low[upper]), np.maximum(high[lower], high[upper])
     # One pixel more on each side, for rounding. Where rectangles begin and end tells how many cover each pixel.
     origin, size = np.array([[x0], [y0]]), np.array([[x1 - x0], [y1 - y0]])
-    shown = np.zeros((y1 - y0, x1 - x0), bool)
-    first = np.clip(np.floor(low[:, held]) - 1.0 - origin, 0, size).astype(int)
-    end = np.clip(np.ceil(high[:, held]) + 1.0 - origin, 0, size).astype(int)
+    visible = np.zeros((y1 - y0, x1 - x0), bool)
+    first = np.clip(np.floor(low[:, cells]) - 1.0 - origin, 0, size).astype(int)
+    end = np.clip(np.ceil(high[:, cells]) + 1.0 - origin, 0, size).astype(int)
     if not first.size:
-        return shown
+        return visible
     (left0, top0), (right0, bottom0) = first.min(axis=1), end.max(axis=1)
     (left, top), (right, bottom) = first - [[left0], [top0]], end - [[left0], [top0]]
     width, height = right0 - left0 + 1, bottom0 - top0 + 1
     change, ends = (
-        np.bincount(np.concatenate([top * width + one, bottom * width + other]), minlength=width * height)
-        for one, other in ((left, right), (right, left))
+        np.bincount(np.concatenate([top * width + corner, bottom * width + opposite]), minlength=width * height)
+        for corner, opposite in ((left, right), (right, left))
     )
     change -= ends
     covered = np.cumsum(np.cumsum(change.reshape(height, width), axis=0, dtype=np.int32), axis=1, dtype=np.int32)
-    shown[top0:bottom0, left0:right0] = covered[:-1, :-1] > 0
-    return shown
+    visible[top0:bottom0, left0:right0] = covered[:-1, :-1] > 0
+    return visible

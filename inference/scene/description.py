@@ -112,9 +112,9 @@ class Medium:
     """How the density of a volume scatters light.
 
     sigma_t: extinction coefficient per unit density and world unit, scalar or RGB, >= 0; float64 (3,) once made.
-    albedo: single-scattering albedo in [0, 1]: scalar or RGB, float64 (3,) once made; or one that varies in space, on
-        the density's voxels: float32 (nx, ny, nz) or (nx, ny, nz, 3), or one or three SparseGrids with the blocks of a
-        sparse density; a tuple of one or three grids once made. Its product with the density is interpolated.
+    albedo: single-scattering albedo in [0, 1]: scalar or RGB, float64 (3,) once made. An albedo that varies in space is
+        on the density's voxels: float32 (nx, ny, nz) or (nx, ny, nz, 3), or one or three SparseGrids with the blocks of
+        a sparse density; a tuple of one or three grids once made. Its product with the density is interpolated.
     anisotropy: mean cosine of the phase function, in [-0.999, 0.999].
     emission: factor of the volume's emission, >= 0.
     phase: phase function of single scattering, None for Henyey-Greenstein. Multiple scattering depends on the mean
@@ -178,11 +178,11 @@ class Medium:
 
 
 def _albedo_grids(albedo: Any) -> tuple[Voxels, ...]:
-    """One or three grids of an albedo that varies in space; none for numbers. Raises SceneError for bad ones."""
+    """One or three grids of an albedo that varies in space; none for numbers. Raises SceneError for bad grids."""
     if isinstance(albedo, SparseGrid):
         grids: tuple[Voxels, ...] = (albedo,)
     elif isinstance(albedo, (tuple, list)) and albedo and isinstance(albedo[0], (SparseGrid, np.ndarray)):
-        grids = tuple(one if isinstance(one, SparseGrid) else np.asarray(one, np.float32) for one in albedo)
+        grids = tuple(grid if isinstance(grid, SparseGrid) else np.asarray(grid, np.float32) for grid in albedo)
     elif np.ndim(albedo) == 3:
         grids = (np.asarray(albedo, np.float32),)
     elif np.ndim(albedo) == 4:
@@ -249,7 +249,7 @@ class Sun(Light):
         return np.broadcast_to(self.irradiance, (len(points), 3))
 
     def mean_fluence(self) -> float:
-        """Mean of the channels of its fluence in volumes, W/m^2."""
+        """Mean fluence of the colour channels in volumes, W/m^2."""
         return float(self.irradiance.mean())
 
     def screen(self, corners: np.ndarray) -> np.ndarray:
@@ -261,15 +261,15 @@ class Sun(Light):
 
     @property
     def screen_key(self) -> bytes:
-        """Digest that is equal for suns with equal screens; empty for those without one."""
+        """Digest that is equal for suns with equal screens; empty for suns without a screen."""
         return b""
 
     def is_parallel_to(self, other: "Sun") -> bool:
-        """Whether one sun of the irradiance of both is the same light."""
+        """Whether a single sun with the irradiance of both would be the same light."""
         parallel = np.linalg.norm(self.direction - other.direction) < PARALLEL_ANGLE
-        whole = not any(one.spread or one.part_of for one in (self, other))
+        undivided = not any(sun.spread or sun.part_of for sun in (self, other))
         linked = self.receivers == other.receivers and self.screen_key == other.screen_key
-        return bool(parallel and whole and linked)
+        return bool(parallel and undivided and linked)
 
 
 @dataclass

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Emitters: parts of lamps, and the light that points receive from them.
 
-They are so small that one direction and one shadow stand for each. What an emitter gives to a point is its fluence,
-W/m^2: its radiance times the solid angle that the point sees of it, without what stands in between. Far from a lamp
-that is the irradiance of a surface that faces it. All emitters are those of power 1: the light of a lamp is linear in
-its power.
+Emitters are so small that each has one direction and one shadow. An emitter's fluence at a point, W/m^2, is its
+radiance times the solid angle that the point sees of it, without attenuation. Far from a lamp that is the irradiance of
+a surface that faces it. Emitters are of lamps of power 1: the light of a lamp is linear in its power.
 """
 
 from dataclasses import dataclass, replace
@@ -29,9 +28,10 @@ FULL_SPREAD = np.pi - 1e-4
 
 
 def light_start(along: np.ndarray, apart: float, radius: float, soft_falloff: bool) -> np.ndarray:
-    """How far before a sphere's centre, towards a distant place, light starts that seems to come from some point.
+    """Distances (N,) before a sphere's centre, towards distant points, at which light starts.
 
-    along: how far before it that point lies. apart: its distance from the centre.
+    along: (N,), distances before the centre of the point that the light seems to come from. apart: distance of that
+    point from the centre.
     """
     across = np.maximum(apart**2 - along**2, 0.0)
     return np.zeros_like(along) if soft_falloff else np.sqrt(np.maximum(radius**2 - across, 0.0))
@@ -39,7 +39,7 @@ def light_start(along: np.ndarray, apart: float, radius: float, soft_falloff: bo
 
 @dataclass(frozen=True)
 class LampSource:
-    """Where the light of a part of a lamp starts: at a point, which stands for a sphere if it has a radius.
+    """Where the light of an emitter starts: at a point, which represents a sphere if it has a radius.
 
     position: (3,), of the point. centre: (3,), of the sphere. radius, soft_falloff: as of PointLight.
     """
@@ -76,7 +76,7 @@ class SphereEmitter:
         return self.radius
 
     def dimmed(self, factor: float) -> "SphereEmitter":
-        """The same with a factor of its light."""
+        """This emitter with a factor of its light."""
         return replace(self, share=factor * self.share)
 
     def is_point_within(self, radius: float) -> bool:
@@ -85,7 +85,7 @@ class SphereEmitter:
 
     @property
     def power(self) -> float:
-        """What it gives of a lamp of power 1: within the cone alone, if there is one."""
+        """Power that it emits of a lamp of power 1: within the cone alone, if there is one."""
         if self.cone is None:
             return self.share
         cosine = np.linspace(-1.0, 1.0, 2001)
@@ -97,7 +97,7 @@ class SphereEmitter:
         return self.brightest(points) * self._within_cone(points)
 
     def brightest(self, points: np.ndarray) -> np.ndarray:
-        """Fluence float64 (N,) at world points (N, 3) if the emitter faced each of them."""
+        """Fluence float64 (N,) at world points (N, 3) if the emitter faced each point."""
         away = points - self.centre
         square = np.maximum((away**2).sum(axis=1), CLOSEST * np.abs(self.centre).max(initial=1e-3) ** 2)
         intensity = self.share / (4.0 * np.pi)
@@ -111,7 +111,7 @@ class SphereEmitter:
         return np.where(square > self.radius**2, outside, 4.0 * intensity / max(self.radius, 1e-30) ** 2)
 
     def _within_cone(self, points: np.ndarray) -> np.ndarray | float:
-        """Share (N,) of its light at points (N, 3) that the cone lets pass."""
+        """Fraction (N,) of its light at points (N, 3) that the cone lets pass."""
         if self.cone is None:
             return 1.0
         away, offset = points - self.centre, DRAWN_IN * (self.position - self.centre)
@@ -120,8 +120,8 @@ class SphereEmitter:
         within = square <= (0.0 if self.soft_falloff else self.radius**2)
         distance, radius = np.sqrt(square), np.full(len(points), self.radius)
         if offset.any():
-            # A part is a disk, of which nearby points see the whole; towards points the light starts on the disk, or
-            # the side of the sphere, that faces these.
+            # An emitter is a disk, which nearby points see as the whole sphere; light starts on the disk, or the side
+            # of the sphere, that faces the point.
             near = square / (square + self.radius**2)
             radius = self.radius * np.sqrt(1.0 - (DRAWN_IN * near) ** 2)
             along, apart = near * (away @ offset) / distance, near * np.linalg.norm(offset)
@@ -136,7 +136,7 @@ class SphereEmitter:
         return directions if self.cone is None else self.cone.turned(directions)
 
     def lit_between(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (N,) along rays, of origins and unit directions (N, 3), between which it may light them."""
+        """Distances (N,) between which it may light rays of origins and unit directions (N, 3)."""
         if self.cone is None:
             return _everywhere(len(origins))
         return self.cone.between(self.centre, self.radius, origins, directions)
@@ -164,7 +164,7 @@ class QuadEmitter:
 
     @property
     def source(self) -> LampSource:
-        """Its centre, in which its light is taken to start."""
+        """Its centre, where its light starts."""
         return LampSource(self.position, self.position)
 
     def dimmed(self, factor: float) -> "QuadEmitter":
@@ -193,7 +193,7 @@ class QuadEmitter:
 
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (4, 3) of the quadrature over its surface, and the area (4,) that each stands for."""
+        """Points (4, 3) of the quadrature over its surface, and the area (4,) that each represents."""
         a, b, c, d = self.corners
         u, v = (0.5 + np.array([[-1, 1, -1, 1], [-1, -1, 1, 1]]) / np.sqrt(12.0))[..., None]
         along, across = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
@@ -223,7 +223,7 @@ class QuadEmitter:
         return self.radiance * angle * self._spread_factor(points)
 
     def brightest(self, points: np.ndarray) -> np.ndarray:
-        """Fluence float64 (N,) at world points (N, 3) if the emitter faced each of them, about."""
+        """Approximate fluence float64 (N,) at world points (N, 3) if the emitter faced each point."""
         square = ((points - self.position) ** 2).sum(axis=1)
         focus = 1.0 if self.spread >= FULL_SPREAD else float(_spread_factor(np.ones(1), self.spread)[0])
         return self.radiance * focus * self.area / (square + self.extent**2)
@@ -258,7 +258,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _across(axis: np.ndarray) -> np.ndarray:
-    """A unit vector (3,) across another."""
+    """A unit vector (3,) perpendicular to another."""
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     return across / np.linalg.norm(across)
 
@@ -281,7 +281,7 @@ def solid_angles(triangles: np.ndarray) -> np.ndarray:
 
 
 def _spread_factor(cosine: np.ndarray, spread: float) -> np.ndarray:
-    """Radiance of an area light of limited spread over that of a diffuse one; cosine: (N,) to its normal."""
+    """Radiance (N,) of an area light of limited spread over that of a diffuse light; cosine: (N,) to its normal."""
     half = max(0.5 * spread, 1e-4)
     tangent = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0)) / np.maximum(cosine, 1e-9)
     return np.where(cosine > 0.0, np.maximum(np.tan(half) - tangent, 0.0) / (np.tan(half) - half), 0.0)

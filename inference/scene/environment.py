@@ -15,10 +15,10 @@ from .light import Families, Light
 ORTHONORMAL = 1e-4
 #: Largest radiance, W/(m^2 sr), that single precision is safe with.
 MAX_RADIANCE = MAX_IRRADIANCE
-# A peak rises above this many times the mean radiance of the rest, fits in a cone of this half-angle, and holds at
-# least this fraction of all light; and at most so many are taken out.
-PEAK, PEAK_ANGLE, PEAK_SHARE, MAX_PEAKS = 16.0, np.radians(10.0), 0.02, 4
-# Root mean square angle above which a peak is more than one direction.
+# A peak rises above PEAK times the mean radiance of the rest, fits in a cone of half-angle PEAK_ANGLE, and holds at
+# least PEAK_FRACTION of all light; and at most MAX_PEAKS are taken out.
+PEAK, PEAK_ANGLE, PEAK_FRACTION, MAX_PEAKS = 16.0, np.radians(10.0), 0.02, 4
+# Root mean square angle above which a peak is more than a single direction.
 POINT_ANGLE = np.radians(0.7)
 # Directions of a peak's angular extent, as cells of this angle.
 PEAK_CELL = np.radians(2.0)
@@ -60,7 +60,7 @@ def pixel_numbers(directions: np.ndarray, rows: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PlaceWeight:
-    """How much of a light reaches places: a product over axes, linear between two ends and constant beyond them.
+    """Fraction of a light by position: a product over axes, linear between two ends and constant beyond them.
 
     ends: per axis (start, end), at which it is 0 and 1; None on axes along which it does not vary.
     """
@@ -74,16 +74,16 @@ class PlaceWeight:
 
     def __call__(self, positions: np.ndarray) -> np.ndarray:
         """float32 (N,), at world positions (N, 3)."""
-        found = np.ones(len(positions), np.float32)
+        weights = np.ones(len(positions), np.float32)
         for along, ends in zip(positions.T, self.ends):
             if ends is not None:
-                found *= np.clip((along - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0).astype(np.float32)
-        return found
+                weights *= np.clip((along - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0).astype(np.float32)
+        return weights
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceLattice:
-    """How much of a light reaches places: trilinear between those of a lattice, and constant beyond them.
+    """Factor of a light by position: trilinear between the points of a lattice, and constant beyond them.
 
     low, high: (3,), opposite corners of the lattice in the world. values: float32 (n, n, n), n > 1.
     """
@@ -124,7 +124,7 @@ class Environment(Light):
     world_from_environment: (3, 3) orthonormal matrix that turns these directions into those of the world, or None for
         the identity.
     name: for messages.
-    weight: of its light at places, or None where all see all of it.
+    weight: factor of its light by position, or None where it is the same everywhere.
 
     Raises SceneError for other shapes, for radiance out of range and for matrices that are not orthonormal.
     """
@@ -178,8 +178,8 @@ class Environment(Light):
     def mean_fluence(self) -> float:
         """As of Sun."""
         rows, columns, _ = self.radiance.shape
-        found = float(columns * self.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
-        return found if self.weight is None else self.weight.mean * found
+        fluence = float(columns * self.radiance.mean(axis=(1, 2)) @ pixel_solid_angles(rows)[:, 0])
+        return fluence if self.weight is None else self.weight.mean * fluence
 
     def fluence_at(self, points: np.ndarray) -> np.ndarray:
         """As of Light."""
@@ -187,9 +187,9 @@ class Environment(Light):
         return weight[:, None] * self.fluence()
 
     def without_peaks(self) -> tuple["Environment", list[Sun]]:
-        """The environment without its peaks, and these as suns: together as much light as before.
+        """The environment without its peaks, and these as suns, which together give as much light as before.
 
-        What exceeds a multiple of the mean is taken out; the light below it stays.
+        Radiance above a multiple of the mean is taken out; the radiance below it stays.
         """
         light = self.radiance @ LUMA
         angles = np.broadcast_to(pixel_solid_angles(len(light)), light.shape)
@@ -200,34 +200,34 @@ class Environment(Light):
             if not most > limit:
                 return self, []
         excess = np.maximum(light - limit, 0.0) * angles
-        if excess.sum() < PEAK_SHARE * total:
+        if excess.sum() < PEAK_FRACTION * total:
             return self, []
-        directions, rest, suns = self.directions(), self.radiance.astype(np.float64), []
+        directions, remaining, suns = self.directions(), self.radiance.astype(np.float64), []
         pixels = np.flatnonzero(excess)
         towards, power = directions.reshape(-1, 3)[pixels], excess.reshape(-1)[pixels]
         for _ in range(MAX_PEAKS):
             near = towards @ towards[power.argmax()] > np.cos(PEAK_ANGLE)
-            if power[near].sum() < PEAK_SHARE * total:
+            if power[near].sum() < PEAK_FRACTION * total:
                 break
             own = pixels[near]
-            flat = rest.reshape(-1, 3)
-            taken = flat[own] * (power[near] / (light * angles).reshape(-1)[own])[:, None]
-            flat[own] -= taken
-            irradiance = (taken * angles.reshape(-1)[own, None]).sum(axis=0)
+            flat = remaining.reshape(-1, 3)
+            removed = flat[own] * (power[near] / (light * angles).reshape(-1)[own])[:, None]
+            flat[own] -= removed
+            irradiance = (removed * angles.reshape(-1)[own, None]).sum(axis=0)
             suns.append(_peak(towards[near], power[near], irradiance, f"sun of {self.name}"))
             power[near] = 0.0
-        return Environment(np.maximum(rest, 0.0), self.world_from_environment, self.name), suns
+        return Environment(np.maximum(remaining, 0.0), self.world_from_environment, self.name), suns
 
 
 def _peak(directions: np.ndarray, power: np.ndarray, irradiance: np.ndarray, name: str) -> Sun:
-    """The light of nearby directions (n, 3) as one sun."""
+    """The light of nearby directions (n, 3) as a single sun."""
     mean = (power[:, None] * directions).sum(axis=0)
     mean /= np.linalg.norm(mean)
-    share = power / power.sum()
-    if np.arccos(min(np.sqrt(share @ (directions @ mean) ** 2), 1.0)) < POINT_ANGLE:
+    weights = power / power.sum()
+    if np.arccos(min(np.sqrt(weights @ (directions @ mean) ** 2), 1.0)) < POINT_ANGLE:
         return Sun(mean, irradiance, name)
     boxes, box = np.unique(np.floor(directions / PEAK_CELL).astype(int), axis=0, return_inverse=True)
     box = box.reshape(-1)
-    shares = np.bincount(box, share, len(boxes))
-    means = np.stack([np.bincount(box, share * axis, len(boxes)) for axis in directions.T], axis=1)
-    return Sun(mean, irradiance, name, (means / np.linalg.norm(means, axis=1, keepdims=True), shares))
+    box_weights = np.bincount(box, weights, len(boxes))
+    means = np.stack([np.bincount(box, weights * axis, len(boxes)) for axis in directions.T], axis=1)
+    return Sun(mean, irradiance, name, (means / np.linalg.norm(means, axis=1, keepdims=True), box_weights))

@@ -16,22 +16,22 @@ from .validation import affine_matrix, rgb_triple
 
 #: Shapes of area lights.
 SHAPES = ("square", "rectangle", "disk", "ellipse")
-# Size of a lamp, over its distance to what it lights, up to which it has a single emitter; and up to which a flat one
-# has four and nine.
+# Size of a lamp, over its distance to the lit box, up to which it has a single emitter; and up to which a flat lamp has
+# four and nine.
 SMALL, MEDIUM_SIZE, LARGE = 0.1, 0.35, 1.0
 # Largest number of emitters of a lamp.
 MOST = 16
-#: Spread, in radians, as which narrower ones of area lights are rendered: the beams of their emitters have to overlap.
+#: Smallest spread of area lights, in radians: the beams of their emitters have to overlap.
 LEAST_SPREAD = np.pi / 36.0
-# Radius of a sphere, over the longest edge of the box that it lights, up to which it has one emitter where few serve.
-TOLD_APART = 0.025
+# Radius of a sphere, over the longest edge of the lit box, up to which it has a single emitter where few are asked for.
+LEAST_SPHERE = 0.025
 # Centres of emitters that represent a sphere, over its radius: vertices of an octahedron whose variance along any axis
 # is that of the disk as which the sphere appears.
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)]) * np.sqrt(0.75)
 
 
 class Lamp(Light):
-    """A light that has a place. power: float64 (3,), W."""
+    """A light at a position in the world. power: float64 (3,), W."""
 
     power: np.ndarray
 
@@ -65,8 +65,8 @@ class Lamp(Light):
 
     def fluence_at(self, points: np.ndarray) -> np.ndarray:
         """As of Light."""
-        parts = self.emitters(points.min(axis=0), points.max(axis=0))
-        return np.sum([part.fluence(points) for part in parts], axis=0)[:, None] * self.power
+        emitters = self.emitters(points.min(axis=0), points.max(axis=0))
+        return np.sum([emitter.fluence(points) for emitter in emitters], axis=0)[:, None] * self.power
 
 
 @dataclass
@@ -74,9 +74,9 @@ class PointLight(Lamp):
     """A sphere, or a point, that shines alike in all directions.
 
     position: (3,) world. power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiant intensity is
-    power / (4 pi), W/sr. radius: world units. name: for messages. soft_falloff: whether the light is, in place of the
-    sphere, a disk of that radius that faces whatever it lights, whose light grows steadily within the radius, too.
-    receivers: as of Sun.
+    power / (4 pi), W/sr. radius: world units. name: for messages. soft_falloff: whether the light is a disk of that
+    radius that faces each lit point, instead of a sphere; its light grows steadily within the radius, too. receivers:
+    as of Sun.
 
     Raises SceneError for values that are negative or not finite.
     """
@@ -99,9 +99,9 @@ class PointLight(Lamp):
         return self.position
 
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
-        """The parts, up to `most`, into which it is divided to light the world's box from low (3,) to high (3,)."""
-        whole = SphereEmitter(self.position, self.position, self.radius, soft_falloff=self.soft_falloff)
-        return _sphere_emitters(whole, low, high, most)
+        """Emitters, up to `most`, into which it is divided to light the box from low (3,) to high (3,) in the world."""
+        sphere = SphereEmitter(self.position, self.position, self.radius, soft_falloff=self.soft_falloff)
+        return _sphere_emitters(sphere, low, high, most)
 
 
 @dataclass
@@ -150,8 +150,8 @@ class SpotLight(Lamp):
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
         """As for PointLight."""
         cone = SpotCone(self.direction, float(np.cos(0.5 * self.angle)), self.blend)
-        whole = SphereEmitter(self.position, self.position, self.radius, 1.0, cone, self.soft_falloff)
-        return _sphere_emitters(whole, low, high, most)
+        sphere = SphereEmitter(self.position, self.position, self.radius, 1.0, cone, self.soft_falloff)
+        return _sphere_emitters(sphere, low, high, most)
 
 
 @dataclass
@@ -160,9 +160,9 @@ class AreaLight(Lamp):
 
     world_matrix: (4, 4), from the lamp's frame. shape: one of SHAPES. size: full width before the matrix, one number or
     (x, y). power: W, scalar or RGB, in [0, 1e30]; float64 (3,) once made. The radiance is power / (pi area). spread: in
-    [0, pi], at least LEAST_SPREAD once made: angle beyond which no light leaves, focused by which the radiance at the
-    angle a from the axis is larger by (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for messages.
-    receivers: as of Sun.
+    [0, pi], at least LEAST_SPREAD once made: full angle of the cone beyond which no light leaves. The radiance at the
+    angle a from the axis has the factor (tan(spread / 2) - tan(a)) / (tan(spread / 2) - spread / 2). name: for
+    messages. receivers: as of Sun.
 
     Raises SceneError outside these ranges, for values that are not finite and for a lamp without area.
     """
@@ -214,30 +214,30 @@ class AreaLight(Lamp):
         count = 1 + sum(apart >= size for size in (SMALL, MEDIUM_SIZE, LARGE))
         count = min(count, int(most**0.5))
         quads = _disk_quads(count) if self._round else _square_quads(count)
-        found, normal = [], self.normal
+        emitters, normal = [], self.normal
         for quad in quads:
             corners = self.centre + quad @ axes.T
-            whole = QuadEmitter(corners, normal, 1.0, self.spread)
-            # All parts have the same area, which those of a disk differ from.
-            radiance = self.area / len(quads) / whole.area / (np.pi * self.area)
-            found.append(QuadEmitter(corners, normal, radiance, self.spread))
-        return found
+            unit = QuadEmitter(corners, normal, 1.0, self.spread)
+            # Emitters of equal power; the quadrilaterals of a disk have only about equal areas.
+            radiance = self.area / len(quads) / unit.area / (np.pi * self.area)
+            emitters.append(QuadEmitter(corners, normal, radiance, self.spread))
+        return emitters
 
 
-def _sphere_emitters(whole: SphereEmitter, low: np.ndarray, high: np.ndarray, most: int) -> list[Emitter]:
-    least = 0.5 * SMALL * distance_from_box(whole.centre, low, high)
+def _sphere_emitters(sphere: SphereEmitter, low: np.ndarray, high: np.ndarray, most: int) -> list[Emitter]:
+    least = 0.5 * SMALL * distance_from_box(sphere.centre, low, high)
     if most < MOST:
-        least = max(least, TOLD_APART * float((high - low).max()))
-    if most < len(OCTAHEDRON) or whole.radius <= least:
-        return [whole]
+        least = max(least, LEAST_SPHERE * float((high - low).max()))
+    if most < len(OCTAHEDRON) or sphere.radius <= least:
+        return [sphere]
     return [
         SphereEmitter(
-            whole.centre,
-            whole.centre + whole.radius * offset,
-            whole.radius,
+            sphere.centre,
+            sphere.centre + sphere.radius * offset,
+            sphere.radius,
             1.0 / len(OCTAHEDRON),
-            whole.cone,
-            whole.soft_falloff,
+            sphere.cone,
+            sphere.soft_falloff,
         )
         for offset in OCTAHEDRON
     ]
@@ -254,17 +254,17 @@ def _square_quads(count: int) -> list[np.ndarray]:
 
 
 def _disk_quads(count: int) -> list[np.ndarray]:
-    """The unit disk in count x count parts of equal area, up to 16, as quadrilaterals (4, 2) of about that area."""
+    """The unit disk in count x count sectors of equal area, up to 16, as quadrilaterals (4, 2) of about that area."""
     if count == 1:
         return [np.sqrt(np.pi / 4.0) * quad for quad in _square_quads(1)]
     inner = {2: 1.0, 3: 1.0 / np.sqrt(3.0), 4: 0.5}[count]
     rings = [(0.0, 1.0, 4)] if count == 2 else [(0.0, inner, count), (inner, 1.0, count**2 - count)]
-    found = []
-    for inner, outer, parts in rings:
-        angles = np.arange(parts + 1) * (2.0 * np.pi / parts)
+    quads = []
+    for inner, outer, sectors in rings:
+        angles = np.arange(sectors + 1) * (2.0 * np.pi / sectors)
         for a, b in zip(angles[:-1], angles[1:]):
             # Wider than the chord, so that the quadrilateral has the sector's area.
-            far = outer * np.sqrt((b - a) / np.sin(b - a)) if parts > 4 else outer
+            far = outer * np.sqrt((b - a) / np.sin(b - a)) if sectors > 4 else outer
             middle = 0.5 * (a + b)
             if inner == 0.0:
                 reach = outer * (b - a) / (2.0 * np.sin(0.5 * (b - a)))
@@ -272,8 +272,8 @@ def _disk_quads(count: int) -> list[np.ndarray]:
             else:
                 near = inner * np.sqrt((b - a) / np.sin(b - a))
                 points = [(near, a), (far, a), (far, b), (near, b)]
-            found.append(np.array([[r * np.cos(angle), r * np.sin(angle)] for r, angle in points]))
-    return found
+            quads.append(np.array([[r * np.cos(angle), r * np.sin(angle)] for r, angle in points]))
+    return quads
 
 
 def distance_from_box(point: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:

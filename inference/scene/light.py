@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a light is: what a stage needs of a light, it asks the light.
+"""The protocol of lights: stages ask a light for what they need.
 
-Lights belong to three families, by how their light reaches a volume. Distant ones are `Sun` and its descendants, local
-ones `Lamp` and its descendants, and an `Environment` shines from everywhere. A new light is a descendant of one of
-them, or a `Light` that is made of several.
+Lights belong to three families, by how their light reaches a volume. `Sun` and its descendants are distant, `Lamp` and
+its descendants are local, and an `Environment` shines from everywhere. A new light is a descendant of one of these
+three, or a `Light` that is made of several.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class Light:
 
     @property
     def strength(self) -> np.ndarray:
-        """What its light is in proportion to: irradiance, power or radiance."""
+        """Irradiance, power or radiance, to which its light is proportional."""
         raise NotImplementedError
 
     @property
@@ -46,7 +46,7 @@ class Light:
         raise NotImplementedError
 
     def add_to(self, families: "Families") -> None:
-        """Add what it is made of to the family that it belongs to."""
+        """Add this light, or the lights that it is made of, to its family."""
         raise NotImplementedError
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 class Optimization:
     """One optimization.
 
-    title: its name in the interface. what: what the render does instead. budget: largest change of a picture that it
-    may cause, as root mean square over the mean where the picture shows volumes, at 8 depth samples; measured with
+    title: its name in the interface. what: the effect, for a tooltip. budget: largest change of a picture that it may
+    cause, as root mean square over the mean where the picture shows volumes, at 8 depth samples; measured with
     "shared_pixels" off except for "shared_pixels" itself, because a picture that hardly differs may interpolate other
     pixels.
     """
@@ -22,7 +22,7 @@ class Optimization:
 # Change caused by summing in another order in single precision.
 ROUNDING = 1e-4
 
-# In the order in which they came: .blend files hold the numbers of those that are on.
+# In the order in which they were added: .blend files hold the numbers of the optimizations that are on.
 OPTIMIZATIONS = {
     "missed_pixels": Optimization("Skip Empty Pixels", "No camera rays through pixels away from every volume", 0.0),
     "empty_space": Optimization("Skip Empty Space", "Camera rays skip space without density", ROUNDING),

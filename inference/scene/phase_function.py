@@ -43,11 +43,11 @@ class PhaseFunction:
 
     def __call__(self, cosine: Cosine) -> Cosine:
         """Value in 1/sr at cosines between the directions before and after scattering; it integrates to 1."""
-        return sum(share * LOBES[name][0](cosine, *parameters) for share, name, parameters in self.lobes)
+        return sum(weight * LOBES[name][0](cosine, *parameters) for weight, name, parameters in self.lobes)
 
     def mean_cosine(self) -> float:
         """Mean cosine of the scattering angle, the anisotropy."""
-        return float(sum(share * LOBES[name][1](*parameters) for share, name, parameters in self.lobes))
+        return float(sum(weight * LOBES[name][1](*parameters) for weight, name, parameters in self.lobes))
 
     @property
     def is_henyey_greenstein(self) -> bool:
@@ -55,14 +55,14 @@ class PhaseFunction:
         return len(self.lobes) == 1 and self.lobes[0][1] == "henyey_greenstein"
 
     @classmethod
-    def mixed(cls, shares: "dict[PhaseFunction, float]") -> "PhaseFunction":
-        """Mixture of phase functions with weights above 0, which need not sum to 1; equal lobes are merged."""
-        total = sum(shares.values())
+    def mixed(cls, amounts: "dict[PhaseFunction, float]") -> "PhaseFunction":
+        """Mixture of phase functions with amounts above 0, which need not sum to 1; equal lobes are merged."""
+        total = sum(amounts.values())
         lobes: dict[tuple[str, tuple[float, ...]], float] = {}
-        for phase, amount in shares.items():
-            for share, name, parameters in phase.lobes:
-                lobes[name, parameters] = lobes.get((name, parameters), 0.0) + share * amount / total
-        return cls(tuple((share, name, parameters) for (name, parameters), share in lobes.items()))
+        for phase, amount in amounts.items():
+            for weight, name, parameters in phase.lobes:
+                lobes[name, parameters] = lobes.get((name, parameters), 0.0) + weight * amount / total
+        return cls(tuple((weight, name, parameters) for (name, parameters), weight in lobes.items()))
 
 
 def draine(cosine: Cosine, g: float, alpha: float) -> Cosine:

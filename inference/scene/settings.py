@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from .errors import SceneError
 from .optimizations import ALL
 
-#: By how much depth samples are multiplied on rays that pass lamps near volumes: odd numbers, which leave nodes of a
-#: quadrature in the middle of the parts of their shares.
+#: Factors of depth samples on rays that pass lamps near volumes: odd numbers, so that nodes of a quadrature stay in the
+#: middle of a stratum.
 DETAIL = 1, 3, 5, 9
-# Depth samples of a ray above which none are added.
+# Depth samples of a ray above which no detail is added.
 ENOUGH = 96
 
 

@@ -48,13 +48,13 @@ class SparseGrid:
         numbers: np.ndarray,
         values: np.ndarray,
     ) -> "SparseGrid":
-        """From some blocks of a box of `count` (3,) blocks that has no border of empty blocks yet.
+        """From M blocks of a box of `count` (3,) blocks that has no border of empty blocks yet.
 
-        first: as in the class, without the border. numbers: int (M,), places in the flattened box. values: float32
-        (1 + M, 8, 8, 8), row 0 all 0.
+        first: as in the class, without the border. numbers: int (M,), indices of the blocks in the flattened box.
+        values: float32 (1 + M, 8, 8, 8), row 0 all 0.
         """
         table = np.zeros(np.array(count) + 2, np.int32)
-        table[tuple(part + 1 for part in np.unravel_index(numbers, count))] = np.arange(1, len(numbers) + 1)
+        table[tuple(index + 1 for index in np.unravel_index(numbers, count))] = np.arange(1, len(numbers) + 1)
         return cls(shape, table, values, np.array(first) + EDGE)
 
     @classmethod
@@ -123,28 +123,28 @@ class SparseGrid:
 
     @functools.cached_property
     def _filled(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """First and one past the last of the blocks' voxels that are not 0, or None."""
+        """First and last + 1 of the blocks' voxels that are not 0, on each axis, or None if all are 0."""
         # Per axis: whether the planes of voxels of each block layer hold a value other than 0.
         filled = [np.zeros((n, EDGE), bool) for n in self.table.shape]
-        for places, rows in self._stored_blocks():
-            held = self.values[rows] != 0.0
-            for axis, place in enumerate(places):
-                planes = held.any(axis=tuple(a + 1 for a in range(3) if a != axis))
+        for positions, rows in self._stored_blocks():
+            nonzero = self.values[rows] != 0.0
+            for axis, position in enumerate(positions):
+                planes = nonzero.any(axis=tuple(a + 1 for a in range(3) if a != axis))
                 for inner in range(EDGE):
-                    filled[axis][place[planes[:, inner]], inner] = True
-        found = [np.flatnonzero(planes) for planes in filled]
-        if not len(found[0]):
+                    filled[axis][position[planes[:, inner]], inner] = True
+        voxels = [np.flatnonzero(planes) for planes in filled]
+        if not len(voxels[0]):
             return None
-        return np.array([planes[0] for planes in found]), np.array([planes[-1] + 1 for planes in found])
+        return np.array([planes[0] for planes in voxels]), np.array([planes[-1] + 1 for planes in voxels])
 
     def slabs(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield boxes of values, one row of blocks along the first axis at a time, with the first voxel (3,) of each.
+        """Yield the first voxel (3,) and the values of boxes, one per row of blocks along the first axis.
 
-        Every voxel that is not 0 lies in one of them. The next box overwrites the array.
+        Every voxel that is not 0 lies in a box. The next box overwrites the array.
         """
         last = self.first + self.shape
-        room = np.zeros((EDGE, *(EDGE * n for n in self.table.shape[1:])), np.float32)
-        blocks = room.reshape(EDGE, self.table.shape[1], EDGE, self.table.shape[2], EDGE)
+        buffer = np.zeros((EDGE, *(EDGE * n for n in self.table.shape[1:])), np.float32)
+        blocks = buffer.reshape(EDGE, self.table.shape[1], EDGE, self.table.shape[2], EDGE)
         for number, slab in enumerate(self.table):
             y, z = np.nonzero(slab)
             if not len(y):
@@ -154,7 +154,7 @@ class SparseGrid:
             high = np.minimum(last, [EDGE * (number + 1), EDGE * (y.max() + 1), EDGE * (z.max() + 1)])
             inside = (slice(low[0] - EDGE * number, high[0] - EDGE * number), *map(slice, low[1:], high[1:]))
             if np.all(low < high):
-                yield low - self.first, room[inside]
+                yield low - self.first, buffer[inside]
             blocks[:, y, :, z, :] = 0.0
 
     def dense(self) -> np.ndarray:
@@ -177,16 +177,16 @@ class SparseGrid:
             position = np.clip(along, np.float32(-1.0), np.float32(size)) + np.float32(first)
             cell = position.astype(np.int32)
             fractions.append(np.subtract(position, cell, out=position))
-            for ends, place in ((below, cell), (above, cell + 1)):
-                ends.append(((place >> 3) * np.int32(block), (place & 7) * np.int32(voxel)))
+            for ends, corner in ((below, cell), (above, cell + 1)):
+                ends.append(((corner >> 3) * np.int32(block), (corner & 7) * np.int32(voxel)))
         table, values = self.table.reshape(-1), self.values.reshape(-1)
         fx, fy, fz = fractions
 
         def at(*ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-            place = table.take(ends[0][0] + ends[1][0] + ends[2][0]).astype(np.intp)
-            place *= EDGE**3
-            place += ends[0][1] + ends[1][1] + ends[2][1]
-            return values.take(place)
+            flat = table.take(ends[0][0] + ends[1][0] + ends[2][0]).astype(np.intp)
+            flat *= EDGE**3
+            flat += ends[0][1] + ends[1][1] + ends[2][1]
+            return values.take(flat)
 
         def edge(x: tuple[np.ndarray, np.ndarray], y: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
             return lerp_into(at(x, y, below[2]), at(x, y, above[2]), fz)
@@ -197,31 +197,31 @@ class SparseGrid:
 
     def cells(self) -> np.ndarray:
         """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
-        parts = EDGE // self.CELL
-        filled = np.zeros([n * parts for n in self.table.shape], bool)
-        blocks = filled.reshape([size for n in self.table.shape for size in (n, parts)])
+        per_block = EDGE // self.CELL
+        filled = np.zeros([n * per_block for n in self.table.shape], bool)
+        blocks = filled.reshape([size for n in self.table.shape for size in (n, per_block)])
         for (x, y, z), rows in self._stored_blocks():
-            cells = (self.values[rows] != 0.0).reshape(-1, *(parts, self.CELL) * 3)
+            cells = (self.values[rows] != 0.0).reshape(-1, *(per_block, self.CELL) * 3)
             blocks[x, :, y, :, z, :] = cells.any(axis=(2, 4, 6))
         return filled
 
     def cell_peaks(self) -> np.ndarray:
         """float32, the largest value in cells of CELL x CELL x CELL voxels."""
-        parts = EDGE // self.CELL
-        peaks = np.zeros([n * parts for n in self.table.shape], np.float32)
-        blocks = peaks.reshape([size for n in self.table.shape for size in (n, parts)])
+        per_block = EDGE // self.CELL
+        peaks = np.zeros([n * per_block for n in self.table.shape], np.float32)
+        blocks = peaks.reshape([size for n in self.table.shape for size in (n, per_block)])
         for (x, y, z), rows in self._stored_blocks():
-            cells = self.values[rows].reshape(-1, *(parts, self.CELL) * 3)
+            cells = self.values[rows].reshape(-1, *(per_block, self.CELL) * 3)
             blocks[x, :, y, :, z, :] = cells.max(axis=(2, 4, 6))
         return peaks
 
     def _stored_blocks(self) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray]]:
-        """Yield places, three int (n,), and rows (n,) of the stored blocks, some blocks at a time."""
-        places = np.nonzero(self.table)
-        rows = self.table[places]
+        """Yield positions, three int (n,), and rows (n,) of the stored blocks, in batches."""
+        positions = np.nonzero(self.table)
+        rows = self.table[positions]
         for start in range(0, len(rows), BLOCKS_PER_BATCH):
             span = slice(start, start + BLOCKS_PER_BATCH)
-            yield tuple(place[span] for place in places), rows[span]
+            yield tuple(position[span] for position in positions), rows[span]
 
 
 def blocks_of(dense: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cones into which spot lights shine, and what they let pass of the light of a disk."""
+"""Cones into which spot lights shine, and the fraction of a disk's light that they let pass."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ import numpy as np
 from ..numerics.quadrature import legendre_nodes
 from ..numerics.small_matmul import product
 
-# Nodes of a cap of directions, in rings: their heights below its top over its height, and cosines of the turns on each;
-# and how far apart nodes count as lying, over the extent of the cap. The kernel holds these, too.
+# Nodes of a cap of directions, in rings: their heights below its top over its height, and cosines of the azimuths on
+# each; and the spacing of nodes, over the extent of the cap. The kernel holds these, too.
 CAP_RINGS = tuple(0.5 + 0.5 * legendre_nodes(2)[0])
 CAP_TURNS = tuple(np.cos((np.arange(3) + 0.5) * np.pi / 3.0))
 NODES_APART = 0.5
@@ -30,11 +30,11 @@ class SpotCone:
 
     @property
     def width(self) -> float:
-        """Of the edge, over which light fades: a difference of cosines."""
+        """Width of the edge, over which light fades, as a difference of cosines."""
         return max((1.0 - self.cosine) * self.blend, SHARP)
 
     def passed(self, directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-        """Share (N,) of the light of disks that the cone lets pass.
+        """Fraction (N,) of the light of disks that the cone lets pass.
 
         directions: (N, 3), unit vectors from the middles of disks that face a point to that point. tangents: (N,),
         radii of the disks over their distances.
@@ -48,7 +48,7 @@ class SpotCone:
         narrow = cone < 1.0 - cap
         height, edge = np.where(narrow, cone, 1.0 - cap), np.where(narrow, cap, self.cosine + 0.5 * self.width)
         extent = np.where(narrow, np.sqrt(cone * (2.0 - cone)), sine)
-        # Where nodes are farther apart than the edge is wide, it is as wide as that.
+        # The edge is at least as wide as nodes are apart.
         apart = NODES_APART * np.maximum(extent * tilt, height * level)
         width = np.maximum(np.where(narrow, SHARP, self.width), apart)
         passed = np.zeros(len(directions))
@@ -64,7 +64,7 @@ class SpotCone:
         return np.where(most <= self.cosine, 0.0, np.where(least >= self.cosine + self.width, 1.0, passed))
 
     def turned(self, directions: np.ndarray) -> np.ndarray:
-        """The unit vectors (N, 3) within the cone that are nearest to others."""
+        """The unit vectors (N, 3) within the cone that are nearest to `directions`."""
         level = product(directions, self.axis)[:, None]
         aside = directions - level * self.axis
         tilt = np.maximum(np.linalg.norm(aside, axis=1)[:, None], 1e-30)
@@ -74,9 +74,9 @@ class SpotCone:
     def between(
         self, centre: np.ndarray, radius: float, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (N,) along rays, of origins and unit directions (N, 3), between which a sphere may light them.
+        """Distances (N,) between which a sphere may light rays of origins and unit directions (N, 3).
 
-        They lie within the cone that holds all of the sphere's light. Infinity and its opposite for rays that miss it.
+        They lie within the cone that holds all of the sphere's light; inf and -inf for rays that miss it.
         """
         square = self.cosine**2
         away = origins - (centre - self.axis * (radius / max(np.sqrt(1.0 - square), SHARP)))
@@ -88,7 +88,7 @@ class SpotCone:
         root = np.sqrt(np.maximum(b * b - a * c, 0.0))
         ends = (-b - root) / a, (-b + root) / a
         first, last = np.minimum(*ends), np.maximum(*ends)
-        # Steep rays begin or end within the cone; others cross it, or the opposite one.
+        # Steep rays begin or end within the cone; others cross it, or the opposite cone.
         upwards, downwards = (a > 0.0) & (rise > 0.0), (a > 0.0) & (rise <= 0.0)
         begin = np.where(upwards, last, np.where(downwards, -np.inf, first))
         end = np.where(downwards, first, np.where(upwards, np.inf, last))

@@ -129,7 +129,7 @@ def test_flat_ground_does_not_shade_itself():
 def test_ground_hides_the_sky_below_it():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
     [sky] = open_sky([ground(size=1000.0)], corners, np.zeros(3))
-    assert sky.share[:15].min() == 1.0 and sky.share[17:].max() == 0.0
+    assert sky.fraction[:15].min() == 1.0 and sky.fraction[17:].max() == 0.0
     hidden = behind(Environment(np.ones((4, 8, 3), np.float32)), sky)
     assert np.all(hidden.radiance[:2] == 1.0) and np.all(hidden.radiance[2:] == 0.0)
 
@@ -167,9 +167,9 @@ def test_places_below_the_edge_of_a_roof_see_different_skies():
     places = np.array([[-0.25, 0.0, 0.25], [0.25, 0.0, 0.25], [0.25, 0.0, -0.25]])
     shares = np.stack([sky.weight(places) for sky in skies])
     assert shares.sum(axis=0) == pytest.approx(1.0)
-    up = np.stack([sky.share[0].mean() for sky in skies]) @ shares
+    up = np.stack([sky.fraction[0].mean() for sky in skies]) @ shares
     assert up[0] < 0.2 and up[1] > 0.8
-    seen = np.einsum("kp,krc->prc", shares, [sky.share for sky in skies])
+    seen = np.einsum("kp,krc->prc", shares, [sky.fraction for sky in skies])
     open_to = (seen * pixel_solid_angles(ROWS) / (2.0 * np.pi))[:, : ROWS // 2].sum(axis=(1, 2))
     # Of the upper half of the sphere, the angle between the roof's edge and the opposite horizon.
     expected = 0.5 + np.arctan2(places[:, 0], 0.6 - places[:, 2]) / np.pi

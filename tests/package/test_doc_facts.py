@@ -178,7 +178,7 @@ FACTS = [
         "docs/method-details.md",
         r"exceeds (\d+) times the mean of the rest within a cone of (\d+)°, where that is at least (\d+) %",
         "inference.scene.environment",
-        ("PEAK", "np.degrees(PEAK_ANGLE)", "100 * PEAK_SHARE"),
+        ("PEAK", "np.degrees(PEAK_ANGLE)", "100 * PEAK_FRACTION"),
     ),
     ("docs/method.md", r"\(S_N\) on (\d+)³ cells", "inference.transport.discrete_ordinates", ("CELLS",)),
     (

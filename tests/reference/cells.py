@@ -36,9 +36,9 @@ def resampled_values(
     """What `resample` fills in, float32 of a shape."""
     centres = np.indices(shape).reshape(3, -1).T @ placement.linear.T + placement.offset
     values = np.zeros(len(centres), np.float32)
-    for place in placement.places:
+    for place in placement.points:
         index = (centres + place).T.astype(np.float32)
         near = np.flatnonzero(occupancy.near(index))
         found = grid.sample(index[:, near])
-        values[near] += found * np.abs(found) ** (power - 1) / np.float32(len(placement.places))
+        values[near] += found * np.abs(found) ** (power - 1) / np.float32(len(placement.points))
     return values.reshape(shape)

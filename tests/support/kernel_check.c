@@ -138,9 +138,9 @@ static void check_pyramid(int64_t variant) {
     prepare("mrpnn_halve", variant, &levels);
     expect("halve", variant, coarse[0], 10.5, 1e-6);
     int32_t below[2] = {0, 2};
-    float share[2] = {0.5f, 0.25f}, scratch[32];
+    float fraction[2] = {0.5f, 0.25f}, scratch[32];
     uint16_t packed[8];
-    Refinement grid = {.values = fine, .shape = {4, 4, 4}, .below = {below, below, below}, .share = {share, share, share}};
+    Refinement grid = {.values = fine, .shape = {4, 4, 4}, .below = {below, below, below}, .fraction = {fraction, fraction, fraction}};
     LatticePart part = {.shape = {2, 2, 2}, .density = grid, .density_scale = 0.1, .density_step = 1e-4,
                         .packed = packed, .columns = 1, .scratch = scratch};
     prepare("mrpnn_fill_lattice", variant, &part);

@@ -6,7 +6,7 @@ import pytest
 
 from inference import Surface
 from inference.occluders.seen_surfaces import see_surfaces
-from inference.occluders.surface_views import PLACES, SurfaceViews
+from inference.occluders.surface_views import VIEWPOINTS, SurfaceViews
 from inference.scene.environment import PlaceLattice
 from tests.support.surfaces import rectangle
 
@@ -16,7 +16,7 @@ ONES = np.ones(3)
 
 
 def places():
-    axes = [np.linspace(-0.5, 0.5, PLACES)] * 3
+    axes = [np.linspace(-0.5, 0.5, VIEWPOINTS)] * 3
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
