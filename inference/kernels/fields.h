@@ -333,11 +333,14 @@ typedef struct {
 /* Columns that lie together in the right matrix of a product. */
 #define MRPNN_PANEL 16
 
-/* Product of two matrices: product. */
+/* Sum of a product of two matrices and what is added to it: product. */
 typedef struct {
     int64_t rows, inner, columns;
     const float *left;           /* (rows, inner) */
     const float *right;          /* (panels, inner, MRPNN_PANEL), 0 beyond `columns` */
+    const float *bias;           /* (panels, MRPNN_PANEL), added to each row, 0 beyond `columns` */
+    const float *added;          /* (rows, columns), or NULL */
+    int64_t rectified;           /* whether sums below 0 become 0 */
     float *out;                  /* (rows, columns) */
 } MatrixProduct;
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Products of matrices, as networks take them: inference/onnx/products.py packs the right one. */
+/* Layers of networks, products of matrices and sums: inference/onnx/products.py packs the right matrix. */
 
 #include "fields.h"
 #include "variants.h"
@@ -22,6 +22,7 @@
 #define BLOCK (8 * ROWS)
 
 typedef float Panel __attribute__((vector_size(4 * PANEL)));
+typedef int32_t PanelBits __attribute__((vector_size(4 * PANEL)));
 
 #if defined(__FMA__) || defined(__aarch64__)
 #define ADD_PRODUCT(a, b, sum) __builtin_elementwise_fma(a, b, sum)
@@ -37,6 +38,18 @@ static inline Panel load_panel(const float *from) {
 }
 
 static inline int64_t less_of(int64_t a, int64_t b) { return a < b ? a : b; }
+
+/* Add to a panel of sums, and store the first of them. */
+static inline __attribute__((always_inline)) void finish(const MatrixProduct *data, Panel sum, const float *added,
+                                                         int64_t width, float *out) {
+    if (added) {
+        Panel values = {0.0f};
+        memcpy(&values, added, (size_t)width * sizeof(float));
+        sum += values;
+    }
+    if (data->rectified) sum = (Panel)((PanelBits)sum & ~(PanelBits)(sum < 0.0f));
+    memcpy(out, &sum, (size_t)width * sizeof(float));
+}
 
 /* One tile from its row and panel on; `rows` and `panels` are constants wherever it is called. */
 static inline __attribute__((always_inline)) void tile(const MatrixProduct *data, int64_t row, int64_t panel, int rows,
@@ -54,12 +67,17 @@ static inline __attribute__((always_inline)) void tile(const MatrixProduct *data
             for (int p = 0; p < panels; p++) sums[r][p] = ADD_PRODUCT(factor, values[p], sums[r][p]);
         }
     }
-    for (int r = 0; r < rows; r++)
-        for (int p = 0; p < panels; p++) {
-            int64_t first = (panel + p) * PANEL;
-            Panel sum = sums[r][p];
-            memcpy(data->out + (row + r) * columns + first, &sum, (size_t)less_of(columns - first, PANEL) * sizeof(float));
+    for (int p = 0; p < panels; p++) {
+        int64_t first = (panel + p) * PANEL, width = less_of(columns - first, PANEL);
+        Panel bias = load_panel(data->bias + first);
+        for (int r = 0; r < rows; r++) {
+            const float *added = data->added ? data->added + (row + r) * columns + first : NULL;
+            float *out = data->out + (row + r) * columns + first;
+            /* Whole panels in one move each. */
+            if (width == PANEL) finish(data, sums[r][p] + bias, added, PANEL, out);
+            else finish(data, sums[r][p] + bias, added, width, out);
         }
+    }
 }
 
 int64_t NAMED(multiply, VARIANT)(const MatrixProduct *data) {

@@ -28,9 +28,9 @@ def _sigmoid(x: Array) -> Array:
 
 
 def _softmax(x: Array, axis: int = -1) -> Array:
-    powers = x - x.max(axis=axis, keepdims=True)
+    powers = x - _reduce_max(x, (axis,))
     np.exp(powers, out=powers)
-    powers /= powers.sum(axis=axis, keepdims=True)
+    powers *= np.float32(1.0) / (_reduce_mean(powers, (axis,)) * np.float32(x.shape[axis]))
     return powers
 
 
@@ -59,11 +59,29 @@ def _shape(x: Array, start: int = 0, end: int | None = None) -> Array:
     return np.array(x.shape[start:end], np.int64)
 
 
-def _reduced(reduce: Callable[..., Any]) -> Callable[..., Array]:
-    def function(x: Array, axes: tuple[int, ...] | None = None, keepdims: int = 1) -> Array:
-        return np.asarray(reduce(x, axis=axes, keepdims=bool(keepdims)))
+def _kept(reduced: Array, axes: tuple[int, ...], keepdims: int) -> Array:
+    return np.expand_dims(reduced, axes) if keepdims else reduced
 
-    return function
+
+def _reduce_max(x: Array, axes: tuple[int, ...] | None = None, keepdims: int = 1) -> Array:
+    if axes is None or len(axes) != 1 or not x.shape[axes[0]]:
+        return np.asarray(x.max(axis=axes, keepdims=bool(keepdims)))
+    # Pairs at a time, which numpy takes in one go where rows are as long as a power of two; others are folded to one.
+    rows = np.moveaxis(x, axes[0], -1)
+    count = 1 << (rows.shape[-1].bit_length() - 1)
+    largest, more = np.array(rows[..., :count]), rows[..., count:]
+    np.maximum(largest[..., : more.shape[-1]], more, out=largest[..., : more.shape[-1]])
+    while largest.shape[-1] > 1:
+        largest = np.maximum(largest[..., ::2], largest[..., 1::2])
+    return _kept(largest[..., 0], axes, keepdims)
+
+
+def _reduce_mean(x: Array, axes: tuple[int, ...] | None = None, keepdims: int = 1) -> Array:
+    if axes is None or len(axes) != 1:
+        return np.asarray(x.mean(axis=axes, keepdims=bool(keepdims)))
+    # Several times as fast as a mean along a short axis.
+    sums = np.einsum("...k->...", np.moveaxis(x, axes[0], -1))
+    return _kept(sums / np.float32(x.shape[axes[0]]), axes, keepdims)
 
 
 #: Operators that can write over one of their inputs, as `out`, and those whose outputs share no memory with inputs.
@@ -88,8 +106,8 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "Min": np.minimum,
     "Mul": np.multiply,
     "Pow": np.power,
-    "ReduceMax": _reduced(np.max),
-    "ReduceMean": _reduced(np.mean),
+    "ReduceMax": _reduce_max,
+    "ReduceMean": _reduce_mean,
     "Relu": _relu,
     "Reshape": _reshape,
     "Shape": _shape,

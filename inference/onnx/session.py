@@ -2,6 +2,7 @@
 """A network's graph evaluated without onnxruntime, with the methods of its sessions that this project calls."""
 
 import functools
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from .model_file import Input, MalformedFile, Model, Node, read_model
 from .operators import IN_PLACE, NEW_MEMORY, OPERATORS
-from .products import Weights
+from .products import Layer
 
 
 @dataclass(frozen=True)
@@ -21,17 +22,30 @@ class Metadata:
 
 
 @dataclass(frozen=True)
-class _Step:
-    """A node that is ready to run.
+class _Operation:
+    """A node, or several that run as one.
 
-    inputs, outputs, released, spent: names. Released values are not read again; spent values may be written over.
+    inputs, outputs: names. new_memory: whether outputs share none with inputs. in_place: whether the output may take
+    the memory of an input, as `out`.
     """
 
     run: Callable[..., Any]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    new_memory: bool = True
+    in_place: bool = False
+
+
+@dataclass(frozen=True)
+class _Step:
+    """An operation in its place among others.
+
+    released, spent: names. Released values are not read again; spent values may be written over.
+    """
+
+    operation: _Operation
     released: tuple[str, ...]
-    spent: frozenset[str] = frozenset()
+    spent: frozenset[str]
 
 
 class Session:
@@ -46,10 +60,11 @@ class Session:
         unknown = {node.operation for node in self._model.nodes} - set(OPERATORS)
         if unknown:
             raise MalformedFile(f"its operators {', '.join(sorted(unknown))} are unknown")
-        own = _own_memory(self._model)
+        operations = _operations(self._model)
+        own = _own_memory(operations)
         self._steps = [
-            _step(node, self._model.weights, released, own)
-            for node, released in zip(self._model.nodes, _last_uses(self._model))
+            _Step(operation, released, own & set(released) if operation.in_place else frozenset())
+            for operation, released in zip(operations, _last_uses(self._model, operations))
         ]
 
     def get_inputs(self) -> tuple[Input, ...]:
@@ -70,9 +85,10 @@ class Session:
         # As silent as onnxruntime about infinities.
         with np.errstate(all="ignore"):
             for step in self._steps:
-                arguments = [values[name] for name in step.inputs]
-                results = step.run(*arguments, **_written_over(step, arguments))
-                values.update(zip(step.outputs, results if isinstance(results, list) else [results]))
+                operation = step.operation
+                arguments = [values[name] for name in operation.inputs]
+                results = operation.run(*arguments, **_written_over(step, arguments))
+                values.update(zip(operation.outputs, results if isinstance(results, list) else [results]))
                 for name in step.released:
                     del values[name]
         return [np.asarray(values[name]) for name in outputs]
@@ -82,51 +98,114 @@ def _written_over(step: _Step, values: list[np.ndarray]) -> dict[str, np.ndarray
     """As `out`, the input of a step whose memory the output may use; empty if there is none."""
     if step.spent:
         shape = np.broadcast_shapes(*(value.shape for value in values))
-        for name, value in zip(step.inputs, values):
+        for name, value in zip(step.operation.inputs, values):
             if name in step.spent and value.shape == shape:
                 return {"out": value}
     return {}
 
 
-def _step(
-    node: Node,
-    weights: dict[str, np.ndarray],
-    released: tuple[str, ...],
-    own: frozenset[str],
-) -> _Step:
-    """A node with its attributes; a product with a matrix of weights holds it packed."""
-    operator, attributes, inputs = OPERATORS[node.operation], node.attributes, node.inputs
-    run: Callable[..., Any] = functools.partial(operator, **attributes)
-    plain = not {"transA", "alpha", "beta"} & set(attributes)
-    if node.operation in ("Gemm", "MatMul") and plain and weights.get(inputs[1], np.empty(0)).ndim == 2:
-        matrix = weights[inputs[1]]
-        run = _product(Weights(matrix.T if attributes.get("transB") else matrix))
-        inputs = (inputs[0], *inputs[2:])
-    spent = own & set(released) if node.operation in IN_PLACE else frozenset()
-    return _Step(run=run, inputs=inputs, outputs=node.outputs, released=released, spent=frozenset(spent))
+def _operations(model: Model) -> list[_Operation]:
+    """The graph's nodes in order; those of a layer run as one, in the place of the last of them."""
+    numbers = {name: number for number, node in enumerate(model.nodes) for name in node.outputs}
+    sole_readers = _sole_readers(model)
+    operations: dict[int, _Operation] = {}
+    joined = set[str]()
+    for number, node in enumerate(model.nodes):
+        if node.outputs[0] in joined:
+            continue
+        layer = _layer(node, model.weights, sole_readers)
+        if layer is None:
+            operations[number] = _of_node(node)
+            continue
+        operation, nodes = layer
+        operations[numbers[operation.outputs[0]]] = operation
+        joined.update(each.outputs[0] for each in nodes)
+        # A layer that another one adds does not take its sum, too.
+        for name in operation.inputs:
+            sole_readers.pop(name, None)
+    return [operations[number] for number in sorted(operations)]
 
 
-def _product(matrix: Weights) -> Callable[..., np.ndarray]:
-    def run(left: np.ndarray, more: np.ndarray | None = None) -> np.ndarray:
-        rows = matrix.product(left.reshape(-1, left.shape[-1]))
-        products = rows.reshape(*left.shape[:-1], rows.shape[-1])
-        return products if more is None else np.add(products, more, out=products)
-
-    return run
+def _sole_readers(model: Model) -> dict[str, Node]:
+    """The only node that reads a value, of values that no other reads, by their names."""
+    readers = Counter(name for node in model.nodes for name in node.inputs) + Counter(model.outputs)
+    return {name: node for node in model.nodes for name in node.inputs if readers[name] == 1}
 
 
-def _own_memory(model: Model) -> frozenset[str]:
-    """Values between nodes that share memory with no other value."""
-    new = {name for node in model.nodes if node.operation in NEW_MEMORY for name in node.outputs}
-    shared = {name for node in model.nodes if node.operation not in NEW_MEMORY for name in node.inputs}
+def _of_node(node: Node) -> _Operation:
+    run = functools.partial(OPERATORS[node.operation], **node.attributes)
+    in_place = node.operation in IN_PLACE
+    return _Operation(run, node.inputs, node.outputs, node.operation in NEW_MEMORY, in_place)
+
+
+def _layer(
+    node: Node, weights: dict[str, np.ndarray], sole_readers: dict[str, Node]
+) -> tuple[_Operation, list[Node]] | None:
+    """A product with weights and what alone reads it, sums and a rectifier, as one operation; and their nodes.
+
+    None where the node is no such product.
+    """
+    matrices = weights.get(node.inputs[1]) if node.operation in ("Gemm", "MatMul") else None
+    if matrices is None or matrices.ndim not in (2, 3) or {"transA", "alpha", "beta"} & set(node.attributes):
+        return None
+    matrices = np.moveaxis(matrices, -1, -2) if node.attributes.get("transB") else matrices
+    columns = matrices.shape[-1]
+    biases, added, nodes = np.zeros((matrices[..., 0, 0].size, columns), np.float32), "", [node]
+    terms = list(node.inputs[2:])
+    while True:
+        for name in terms:
+            shape = weights[name].shape if name in weights else ()
+            if shape == (columns,) or matrices.ndim == 3 and shape == (len(matrices), 1, columns):
+                biases = biases + weights[name].reshape(-1, columns)
+            elif added:
+                return None
+            else:
+                added = name
+        output = nodes[-1].outputs[0]
+        after = sole_readers.get(output)
+        if after is None or after.operation != "Add" or added:
+            break
+        terms = [name for name in after.inputs if name != output]
+        nodes.append(after)
+    rectified = after is not None and after.operation == "Relu"
+    if after is not None and rectified:
+        nodes.append(after)
+    layers = [
+        Layer(matrix, bias, rectified) for matrix, bias in zip(matrices.reshape(-1, *matrices.shape[-2:]), biases)
+    ]
+    run = functools.partial(_one_layer if matrices.ndim == 2 else _layers, layers)
+    inputs = (node.inputs[0], added) if added else (node.inputs[0],)
+    return _Operation(run, inputs, nodes[-1].outputs), nodes
+
+
+def _one_layer(layers: list[Layer], left: np.ndarray, added: np.ndarray | None = None) -> np.ndarray:
+    (layer,), shape = layers, (*left.shape[:-1], layers[0].columns)
+    more = None if added is None else np.broadcast_to(added, shape).reshape(-1, layer.columns)
+    return layer(left.reshape(-1, left.shape[-1]), more).reshape(shape)
+
+
+def _layers(layers: list[Layer], left: np.ndarray, added: np.ndarray | None = None) -> np.ndarray:
+    """left: (B, N, inner) or (N, inner), for B layers."""
+    out = np.empty((len(layers), left.shape[-2], layers[0].columns), np.float32)
+    rows = np.broadcast_to(left, (len(layers), *left.shape[-2:]))
+    more = [None] * len(layers) if added is None else np.broadcast_to(added, out.shape)
+    for number, layer in enumerate(layers):
+        layer(rows[number], more[number], out[number])
+    return out
+
+
+def _own_memory(operations: list[_Operation]) -> frozenset[str]:
+    """Values between operations that share memory with no other value."""
+    new = {name for operation in operations if operation.new_memory for name in operation.outputs}
+    shared = {name for operation in operations if not operation.new_memory for name in operation.inputs}
     return frozenset(new - shared)
 
 
-def _last_uses(model: Model) -> list[tuple[str, ...]]:
-    """For each node, the values between nodes that no later node reads."""
+def _last_uses(model: Model, operations: list[_Operation]) -> list[tuple[str, ...]]:
+    """For each operation, the values between operations that no later one reads."""
     retained = {"", *model.weights, *(entry.name for entry in model.inputs), *model.outputs}
-    last = {name: number for number, node in enumerate(model.nodes) for name in (*node.outputs, *node.inputs)}
-    released: list[list[str]] = [[] for _ in model.nodes]
+    last = {name: number for number, each in enumerate(operations) for name in (*each.outputs, *each.inputs)}
+    released: list[list[str]] = [[] for _ in operations]
     for name, number in last.items():
         if name not in retained:
             released[number].append(name)

@@ -32,7 +32,7 @@ from inference.marching.marcher import Marcher
 from inference.marching.ray_steps import RayBatch
 from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
 from inference.occluders.lamp_shadow_map import LampShadowMap
-from inference.onnx.products import Weights
+from inference.onnx.products import Layer
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
 from inference.transport.cell_sources import SunBeam
@@ -332,7 +332,8 @@ def paths(random: np.random.Generator) -> None:
 def products(random: np.random.Generator) -> None:
     """Matrices of any size and contents."""
     rows, inner, columns = random.integers(0, 60, 3).tolist()
-    Weights(spoiled(random, (inner, columns))).product(spoiled(random, (rows, inner)))
+    layer = Layer(spoiled(random, (inner, columns)), spoiled(random, (columns,)), bool(random.integers(2)))
+    layer(spoiled(random, (rows, inner)), spoiled(random, (rows, columns)) if random.integers(2) else None)
 
 
 KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering, paths, products)

@@ -7,7 +7,7 @@ import pytest
 
 from inference.network.weights_file import WEIGHTS
 from inference.onnx.model_file import MalformedFile, read_model
-from inference.onnx.products import Weights
+from inference.onnx.products import Layer
 from inference.onnx.session import Session
 from tests.support.kernels import VARIANTS, variant
 from tests.support.marches import random_density
@@ -68,13 +68,21 @@ def test_the_kernel_multiplies_matrices(number):
     for rows, inner, columns in sizes:
         left, right = (random.normal(size=shape).astype(np.float32) for shape in ((rows, inner), (inner, columns)))
         with variant(number):
-            found = Weights(right).product(left)
-        np.testing.assert_allclose(found, left.astype(np.float64) @ right, rtol=0.0, atol=2e-6 * max(inner, 1))
+            found = Layer(right)(left)
+        product, near = left.astype(np.float64) @ right, {"rtol": 0.0, "atol": 2e-6 * max(inner, 1)}
+        np.testing.assert_allclose(found, product, **near)
+        bias, added = (random.normal(size=shape).astype(np.float32) for shape in ((columns,), (rows, columns)))
+        with variant(number):
+            sums, rectified = Layer(right, bias)(left, added), Layer(right, bias, rectified=True)(left)
+        np.testing.assert_allclose(sums, product + bias + added, **near)
+        np.testing.assert_allclose(rectified, np.maximum(product + bias, 0.0), **near)
     extreme = random_density(random, (12, 1, 20), "magnitudes").reshape(12, 20)
     extreme[3, 4], extreme[5, 6] = np.inf, np.nan
     right = np.ones((20, 18), np.float32)
     with np.errstate(all="ignore"), variant(number):
-        np.testing.assert_allclose(Weights(right).product(extreme), extreme @ right, rtol=1e-6)
+        np.testing.assert_allclose(Layer(right)(extreme), extreme @ right, rtol=1e-6)
+        rectified = Layer(-right, rectified=True)(extreme)
+        np.testing.assert_array_equal(rectified, np.maximum(Layer(-right)(extreme), 0.0))
 
 
 def test_damaged_files_are_refused_by_their_reader():
