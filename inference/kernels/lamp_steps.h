@@ -238,7 +238,7 @@ static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *
         Floats fluence = emitter_fluences(emitter, point);
         for (int64_t v = 0; v < scene->volumes; v++) {
             float *light = work->node_light + v * work->stride + first;
-            Doubles behind = distance - pass.nearest, passing = (Doubles){0} + pass.passing;
+            Doubles passing = (Doubles){0} + pass.passing, behind = distance - pass.nearest;
             store(light, load(light) + fluence * scattered_back_at(scene->media[v].phase, behind, passing));
         }
         if (!features) continue;
