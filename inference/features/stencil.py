@@ -13,7 +13,7 @@ import numpy as np
 
 from ..numerics.small_matmul import lengths
 
-# Points and mip level of each layer: eight low-frequency layers, then four high-frequency ones.
+# Points and mip level of each layer: eight low-frequency layers, then four high-frequency layers.
 LAYER_POINTS = (8, 8, 16, 16, 16, 32, 32, 32, 8, 8, 8, 8)
 LAYER_MIPS = (0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3)
 LOW_LAYERS = 8

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A medium bound to its grid and to the extinction of some colour channels, for ray marching."""
+"""A medium bound to its grid and to the extinction of colour channels, for ray marching."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from .sun_optical_depth import SunOpticalDepth
 
 @dataclass(frozen=True)
 class BoundMedium:
-    """One volume as rays traverse it in some colour channels.
+    """A volume as rays traverse it in colour channels of equal extinction.
 
     sigma_t: extinction coefficient per unit density and world unit. sun_depths: L optical depths, one per sun.
     """

@@ -23,7 +23,7 @@ from .sun_optical_depth import SunOpticalDepth
 class Grid:
     """The active part of a volume's density and emission.
 
-    Voxels are those of the volume, or finer ones if these are few. Indices count from the centre of the first active
+    Voxels are those of the volume, or finer voxels if these are few. Indices count from the centre of the first active
     voxel; the support of the trilinear interpolant is the box from -1 to the number of voxels on each axis.
 
     density: DenseGrid or SparseGrid. emission: one grid per colour channel, or none. emission_power: as in Volume.

@@ -7,7 +7,7 @@ from ..kernels.library import call
 
 
 def halve(fine: np.ndarray, coarse: np.ndarray) -> None:
-    """Fill coarse cells, float32 (x, y, z), with the means of 2 x 2 x 2 fine ones."""
+    """Fill coarse cells, float32 (x, y, z), with the means of 2 x 2 x 2 fine cells."""
     assert fine.strides[2] == coarse.strides[2] == fine.itemsize
     call(
         "halve",

@@ -206,7 +206,7 @@ class LampOpticalDepth:
             uneven=self._uneven(forward),
             excess=self._excess(sigma_t, forward),
         )
-        columns.kept += pyramids
+        columns.referenced += pyramids
         return columns
 
     def _uneven(self, forward: float) -> bool:

@@ -98,7 +98,7 @@ def resampled(
     back = (grid.corners() - world_from_index[:3, 3]) @ inverse(world_from_index[:3, :3]).T
     low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
-    places = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T
+    points = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T
     reached = out[tuple(map(slice, low, high))]
-    resample(values, power, grid.occupancy, Placement(linear, offset, places).beside(low), reached, cancel)
+    resample(values, power, grid.occupancy, Placement(linear, offset, points).beside(low), reached, cancel)
     return out

@@ -28,7 +28,7 @@ class Occupancy:
     def clearance(self) -> np.ndarray:
         """uint8 (cx, cy, cz): 0 for filled cells, otherwise a distance in cells below which all others are empty.
 
-        The distance is along the axis along which it is largest, at most the true one, and at most 21.
+        The distance is the largest along an axis, never more than the true distance, and at most 21.
         """
         grown, clearance = self.filled, np.where(self.filled, np.uint8(0), np.uint8(1))
         distance = 1

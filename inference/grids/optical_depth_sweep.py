@@ -62,11 +62,10 @@ def sweep(
 ) -> np.ndarray:
     """Sweep from slice to slice across the sun's main axis; returns two fractions of each, float32 (slices, 2).
 
-    Every column follows one ray through all slices. Those of a slice meet it at points that lie by the fractions beyond
-    b - BEFORE and c - BEFORE. The other arguments are as for `sun_optical_depth`. weights: `linear` or `cubic`, with
-    which depths beside sharp edges may fall slightly below 0. depths: float32 with the sun's main axis first, filled
-    with those at the cells or, where it is MORE larger along the other axes, those of columns, at least 0. Raises
-    Cancelled.
+    Every column follows a ray through all slices. It meets a slice at the fractions beyond b - BEFORE and c - BEFORE.
+    The other arguments are as for `sun_optical_depth`. weights: `linear` or `cubic`; with `cubic`, depths beside sharp
+    edges may fall slightly below 0. depths: float32 with the sun's main axis first, filled with depths at the cells or,
+    if it is MORE larger along the other axes, with depths of columns, at least 0. Raises Cancelled.
     """
     shear = Shear(density.shape, index_direction)
     slices = np.moveaxis(np.ascontiguousarray(density, np.float32), shear.main, 0)

@@ -123,7 +123,7 @@ def _sphere_ways(distance: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _log_mean(exponents: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Logarithm (N,) of the mean of exp(exponents), (N, Q), with some weights."""
+    """Logarithm (N,) of the mean of exp(exponents), (N, Q), by weights (N, Q) or (Q,)."""
     most = exponents.max(axis=-1, keepdims=True)
     weights = np.broadcast_to(weights, exponents.shape)
     mean = (weights * np.exp(exponents - most)).sum(axis=-1) / weights.sum(axis=-1)

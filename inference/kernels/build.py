@@ -56,8 +56,8 @@ class BuildError(Exception):
 class Target:
     """A platform that the library is built for.
 
-    triple: of the compiler, with the oldest system that is supported; "" for this one. tag: of that platform in the
-    names of wheels. library: file name. variants: names of the kinds of processors, and what the compiler calls them.
+    triple: of the compiler, with the oldest system that is supported; "" for this platform. tag: of the platform in the
+    names of wheels. library: file name. variants: names of the kinds of processors, and the compiler's names of them.
     """
 
     triple: str
@@ -96,12 +96,12 @@ def this_platform() -> str:
 
 def sources() -> list[Path]:
     """The C files and headers; none where there are headers alone, as in an installed extension."""
-    found = sorted(path for path in SOURCES.iterdir() if path.suffix in (".c", ".h"))
-    return found if any(path.suffix == ".c" for path in found) else []
+    files = sorted(path for path in SOURCES.iterdir() if path.suffix in (".c", ".h"))
+    return files if any(path.suffix == ".c" for path in files) else []
 
 
 def library_path(name: str) -> Path:
-    """Where the library of a platform lies once it is built from the present sources."""
+    """Path of a platform's library, built from the present sources."""
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for path in sources():
         digest.update(path.read_bytes())
@@ -110,20 +110,20 @@ def library_path(name: str) -> Path:
 
 def build(name: str) -> Path:
     """Build the library of a platform unless it is there already; returns its path. Raises BuildError."""
-    found = library_path(name)
-    if found.exists():
-        return found
+    library = library_path(name)
+    if library.exists():
+        return library
     if importlib.util.find_spec("ziglang") is None:
         raise BuildError("the Python package ziglang, which compiles it, is not installed: pip install ziglang")
-    found.parent.mkdir(parents=True, exist_ok=True)
+    library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=BUILD) as folder:
         built = _compile(TARGETS[name], Path(folder))
         # Another process may be building the same.
-        os.replace(built, found)
-    for other in BUILD.glob(f"{name}-*"):
-        if other != found.parent:
-            shutil.rmtree(other, ignore_errors=True)
-    return found
+        os.replace(built, library)
+    for old in BUILD.glob(f"{name}-*"):
+        if old != library.parent:
+            shutil.rmtree(old, ignore_errors=True)
+    return library
 
 
 def _compile(target: Target, folder: Path) -> Path:

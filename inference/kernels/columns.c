@@ -54,8 +54,8 @@ static void shift_back(const ColumnSweep *sweep, const float *columns, const flo
         const float *row = columns + (i + BEFORE) * sweep->size[1] + BEFORE, *last = row - sweep->size[1];
         float *to = out + i * sweep->depth_strides[1];
         for (int64_t c = 0; c < sweep->shape[2]; c++) {
-            float here = row[c] * (1.0f - f) + last[c] * f, before = row[c - 1] * (1.0f - f) + last[c - 1] * f;
-            to[c * sweep->depth_strides[2]] = here * (1.0f - g) + before * g;
+            float current = row[c] * (1.0f - f) + last[c] * f, previous = row[c - 1] * (1.0f - f) + last[c - 1] * f;
+            to[c * sweep->depth_strides[2]] = current * (1.0f - g) + previous * g;
         }
     }
 }
@@ -90,8 +90,8 @@ static void add_blocks(const BlockSweep *sweep, int64_t n) {
     for (int64_t b = 0; b < sweep->blocks; b++) {
         int64_t block = sweep->block_rows[b];
         if ((uint64_t)block >= (uint64_t)sweep->rows) continue;
-        const int64_t *place = sweep->block_places + 2 * b, *start = sweep->starts + 2 * n;
-        float *window = sweep->columns + (EDGE * place[0] + start[0]) * sweep->size[1] + EDGE * place[1] + start[1];
+        const int64_t *tile = sweep->block_places + 2 * b, *start = sweep->starts + 2 * n;
+        float *window = sweep->columns + (EDGE * tile[0] + start[0]) * sweep->size[1] + EDGE * tile[1] + start[1];
         shift_up(sweep->values + block * EDGE * EDGE * EDGE + sweep->slices[n] * sweep->strides[0], EDGE, EDGE,
                  sweep->strides + 1, sweep->weights + 8 * n, (float)sweep->half_step, line, half_slice);
         add_plane(window, sweep->size[1], half_slice, EDGE + MORE, EDGE + MORE);
@@ -121,33 +121,33 @@ int64_t NAMED(sweep_blocks, VARIANT)(const BlockSweep *sweep) {
 static float open_depth(const OpenDepthSamples *data, const float *at, const float *towards, const float *lattice) {
     float depth = 0.0f;
     for (int64_t s = 0; s < data->samples; s++) {
-        int64_t level = data->sampled[s], cells = data->cells[level], place = 0;
+        int64_t level = data->sampled[s], cells = data->cells[level], voxel = 0;
         const int64_t *strides = data->strides + 2 * level;
         int outside = 0;
         for (int axis = 0; axis < 3; axis++) {
             float along = (at[axis] + data->middles[s] * towards[axis] + 0.5f) * (float)cells;
             int64_t cell = (int64_t)along;
             outside |= along < 0.0f || cell >= cells;
-            place += cell * (axis < 2 ? strides[axis] : 1);
+            voxel += cell * (axis < 2 ? strides[axis] : 1);
         }
-        if (!outside) depth += data->lengths[s] * data->levels[level][place];
+        if (!outside) depth += data->lengths[s] * data->levels[level][voxel];
     }
-    int64_t n = data->edge, place = 0, strides[3] = {n * n, n, 1};
-    float share[3], rows[4], reach = (float)data->reach;
+    int64_t n = data->edge, voxel = 0, strides[3] = {n * n, n, 1};
+    float fraction[3], rows[4], reach = (float)data->reach;
     for (int axis = 0; axis < 3; axis++) {
         float end = at[axis] + reach * towards[axis];
         if (!(end > -0.5f && end < 0.5f)) return depth;
         float index = (end + 0.5f) * (float)(n - 2) + 0.5f;
         int64_t cell = (int64_t)index;
-        share[axis] = index - (float)cell;
-        place += cell * strides[axis];
+        fraction[axis] = index - (float)cell;
+        voxel += cell * strides[axis];
     }
     for (int64_t r = 0; r < 4; r++) {
-        const float *row = lattice + place + (r >> 1) * n * n + (r & 1) * n;
-        rows[r] = (1.0f - share[2]) * row[0] + share[2] * row[1];
+        const float *row = lattice + voxel + (r >> 1) * n * n + (r & 1) * n;
+        rows[r] = (1.0f - fraction[2]) * row[0] + fraction[2] * row[1];
     }
-    float low = (1.0f - share[1]) * rows[0] + share[1] * rows[1];
-    return depth + (1.0f - share[0]) * low + share[0] * ((1.0f - share[1]) * rows[2] + share[1] * rows[3]);
+    float low = (1.0f - fraction[1]) * rows[0] + fraction[1] * rows[1];
+    return depth + (1.0f - fraction[0]) * low + fraction[0] * ((1.0f - fraction[1]) * rows[2] + fraction[1] * rows[3]);
 }
 
 int64_t NAMED(sample_open_depths, VARIANT)(const OpenDepthSamples *data) {

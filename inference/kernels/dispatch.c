@@ -91,7 +91,7 @@ EXPORT int64_t mrpnn_scratch_bytes(const Scene *scene, int64_t max_count) {
     return scratch_bytes_baseline(scene, max_count);
 }
 
-/* March rays; returns how many of them, fewer than asked for if they were to stop. */
+/* March rays; returns how many were marched, fewer than given if `stop` was set. */
 EXPORT int64_t mrpnn_march(int64_t variant, const Scene *scene, const Rays *rays, Gathered *out) {
     unsigned mode = without_subnormals();
     return restored(mode, CHOOSE(variant, march, scene, rays, out));

@@ -74,11 +74,11 @@ typedef struct {
     const float *emit;           /* (directions, 5), weights of the field's parts in the source */
     const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux, or NULL */
     const float *field;          /* (5, n, n, n), fluence, flux and beam */
-    const float *beams;          /* (directions, n, n, n), of each direction in place of the field's; or NULL */
-    const float *leaving;        /* (3, n, n, n), share of the source in what leaves a cell across a face, an edge and
-                                    a corner */
+    const float *beams;          /* (directions, n, n, n), of each direction instead of the field's; or NULL */
+    const float *leaving;        /* (3, n, n, n), fraction of the source in the light that leaves a cell across a face,
+                                    an edge and a corner */
     const float *within;         /* (3, n, n, n), and in the mean within it */
-    const float *links;          /* (n, directions, n, n), slices first, share of the light that arrives; or NULL */
+    const float *links;          /* (n, directions, n, n), slices first, fraction of the light that arrives; or NULL */
     const float *entering;       /* (directions), radiance at the faces of the cube, or NULL */
     float *sums;                 /* (4, n, n, n), fluence and flux, added to; without weights (directions, n, n, n),
                                     the mean radiance in each cell, filled */
@@ -95,7 +95,7 @@ typedef struct {
     const int64_t *kinds;        /* (directions), of the following arrays */
     const double *passed;        /* (kinds, cells), transmittance */
     const double *mean;          /* (kinds, cells), mean of exp(-tau) */
-    const double *given;         /* (kinds, cells), radiance that the cell adds to what leaves it */
+    const double *given;         /* (kinds, cells), radiance that the cell adds to the radiance that leaves it */
     const double *added;         /* (kinds, cells), and to its mean */
     int64_t cells;
     int64_t first;               /* cell at which the directions enter */
@@ -134,7 +134,7 @@ typedef struct {
     const int64_t *numbers;      /* (photons), which tell their random numbers */
     int64_t collisions;          /* at most */
     double anisotropy, reduced;  /* G, and that of the wide angles */
-    double wide;                 /* share of the scattering by wide angles */
+    double wide;                 /* fraction of the scattering by wide angles */
     double albedo;
     float *sums;                 /* (cells, 5), fluence, flux and squares, added to */
 } PeakPhotons;
@@ -152,9 +152,9 @@ typedef struct {
     const int64_t *numbers;      /* (rays), which tell their random numbers */
     int64_t paths;               /* of each ray */
     int64_t collisions, steps;   /* of a path, at most */
-    double negligible;           /* share of the light at which paths end */
+    double negligible;           /* fraction of the light at which paths end */
     const volatile int32_t *stop;
-    float *light;                /* (rays, paths, channels), share of the light that is kept in collisions */
+    float *light;                /* (rays, paths, channels), fraction of the light that collisions keep */
     float *leaving;              /* (rays, paths, 3), directions in which paths left their last collisions */
     uint8_t *ends;               /* (rays, paths): 0 for no collision, 1 for paths that left, 2 for those given up */
 } LightPaths;
@@ -199,7 +199,7 @@ typedef struct {
     const float *values;
     int64_t shape[3];
     const int32_t *below[3];     /* cell below each fine cell, along each axis */
-    const float *fraction[3];    /* of the next one */
+    const float *fraction[3];    /* of the way to the next cell */
 } Refinement;
 
 /* Planes of a lattice that descriptors read: mip_lattices.build_lattices. */
@@ -278,23 +278,23 @@ typedef struct {
     double sigma;
     double radius;               /* by which the light is softened */
     float *light;                /* (count), added to */
-    float *open;                 /* the same without what lies in between */
+    float *open;                 /* the same without attenuation */
 } LampBeam;
 
 /* Fluence of a lamp of power 1 at points: LampInMedia. */
 typedef struct {
     int64_t points;
     const double *positions;     /* (points, 3), in the world */
-    int64_t lamp;                /* its parts */
+    int64_t lamp;                /* number of emitters */
     const Emitter *emitters;     /* (lamp) */
     double *fluence;             /* (points) */
-    double *brightest;           /* (points), as if it faced each of them */
+    double *brightest;           /* (points), if each emitter faced each point */
 } LampFluence;
 
 /* Light of a lamp nearby that points scatter towards the camera: LampNearby. */
 typedef struct {
     int64_t points;
-    const float *index;          /* (3, points), places in cells */
+    const float *index;          /* (3, points), positions in cells */
     const float *omega;          /* (3, points), unit vectors along camera rays */
     const float *towards;        /* (3, points), unit vectors to the lamp */
     const float *irradiance, *depth, *scattering;  /* (points), of LampAtPoints */
@@ -306,7 +306,7 @@ typedef struct {
     double anisotropy, reduced;  /* of the phase function, and without its forward peak */
     double albedo;
     int64_t terms;               /* of the series of Legendre's polynomials, at least 4 */
-    double weights[4];           /* of what differs from a distribution of Henyey and Greenstein's, by degree */
+    double weights[4];           /* of the difference from a distribution of Henyey and Greenstein's, by degree */
     double straightest, straightest_peak, least;
     float *out;                  /* (points), W/(m^2 sr) */
 } NearbyLight;
@@ -319,8 +319,8 @@ typedef struct {
     int64_t rays;                /* a multiple of 8 */
     const float *directions;     /* (3, rays), in the frame of the camera ray */
     int64_t steps;
-    double thickness, growth;    /* optical thickness of the first step, and by how much each may be longer */
-    const float *shifts;         /* (3, rays), of places at which the light is looked up, in its cells */
+    double thickness, growth;    /* optical thickness of the first step, and factor by which each may be longer */
+    const float *shifts;         /* (3, rays), of positions at which the light is looked up, in its cells */
     const float *media;          /* (edge, edge, edge, 2), density and depth towards the sun, for sigma 1, behind a cell of
                                     padding and before two */
     int64_t edge;

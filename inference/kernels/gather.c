@@ -8,12 +8,12 @@
 
 static inline Floats larger_of(Floats a, Floats b) { return choose(a > b, a, b); }
 
-/* Cells below places, counted from the first, behind the padding, and the places within them. */
-static inline void cells_below(const Floats *place, int64_t size, Ints *cell, Floats *part) {
+/* Cells below positions, counted behind the padding, and the fractions of the way to the next cells. */
+static inline void cells_below(const Floats *position, int64_t size, Ints *cell, Floats *fraction) {
     for (int axis = 0; axis < 3; axis++) {
-        Floats at = clamped_to(place[axis] + 0.5f, in_all(0.0f), in_all((float)(size - 2)));
+        Floats at = clamped_to(position[axis] + 0.5f, in_all(0.0f), in_all((float)(size - 2)));
         cell[axis] = to_ints(at);
-        part[axis] = at - to_floats(cell[axis]);
+        fraction[axis] = at - to_floats(cell[axis]);
     }
 }
 
@@ -21,14 +21,14 @@ static inline void cells_below(const Floats *place, int64_t size, Ints *cell, Fl
 typedef float Quads __attribute__((vector_size(4 * 4 * LANES / 2)));
 
 static inline Quads quads_at(const float *from, const int64_t *first) {
-    Quads found;
+    Quads quads;
     for (int lane = 0; lane < LANES / 2; lane++) {
-        memcpy((char *)&found + lane * 4 * sizeof(float), from + first[lane], 4 * sizeof(float));
+        memcpy((char *)&quads + lane * 4 * sizeof(float), from + first[lane], 4 * sizeof(float));
     }
-    return found;
+    return quads;
 }
 
-static inline Quads between(Quads low, Quads high, Quads part) { return (high - low) * part + low; }
+static inline Quads between(Quads low, Quads high, Quads fraction) { return (high - low) * fraction + low; }
 
 /* Density and depth of four lanes, of two cells beside each other, interpolated between the rows of cells. */
 static inline Quads between_rows(const LightGather *gather, const int64_t *first, Quads x, Quads y) {
@@ -39,33 +39,33 @@ static inline Quads between_rows(const LightGather *gather, const int64_t *first
     return between(low, between(quads_at(from, first), quads_at(from + n, first), y), x);
 }
 
-/* Density and depth, trilinear; place: in cells. */
-static inline Pairs sample_media_pairs(const LightGather *gather, const Floats *place) {
+/* Density and depth, trilinear; position: in cells. */
+static inline Pairs sample_media_pairs(const LightGather *gather, const Floats *position) {
     int64_t n = gather->edge, first[LANES];
     Ints cell[3];
-    Floats x, y, z, part[3];
-    cells_below(place, n, cell, part);
+    Floats x, y, z, fraction[3];
+    cells_below(position, n, cell, fraction);
     Longs at = to_longs((cell[0] * (int32_t)n + cell[1]) * (int32_t)n + cell[2]) * 2;
     memcpy(first, &at, sizeof first);
-    x = part[0], y = part[1], z = part[2];
+    x = fraction[0], y = fraction[1], z = fraction[2];
 #define FOUR_TIMES(v, k) __builtin_shufflevector(v, v, k, k, k, k, k + 1, k + 1, k + 1, k + 1, k + 2, k + 2, k + 2, k + 2, \
                                                  k + 3, k + 3, k + 3, k + 3)
-    Quads here = between_rows(gather, first, FOUR_TIMES(x, 0), FOUR_TIMES(y, 0));
-    Quads there = between_rows(gather, first + LANES / 2, FOUR_TIMES(x, 4), FOUR_TIMES(y, 4));
+    Quads fore = between_rows(gather, first, FOUR_TIMES(x, 0), FOUR_TIMES(y, 0));
+    Quads rear = between_rows(gather, first + LANES / 2, FOUR_TIMES(x, 4), FOUR_TIMES(y, 4));
 #undef FOUR_TIMES
-    PairsOfFloats low = __builtin_shufflevector(here, there, 0, 1, 4, 5, 8, 9, 12, 13, 16, 17, 20, 21, 24, 25, 28, 29);
-    PairsOfFloats high = __builtin_shufflevector(here, there, 2, 3, 6, 7, 10, 11, 14, 15, 18, 19, 22, 23, 26, 27, 30, 31);
+    PairsOfFloats low = __builtin_shufflevector(fore, rear, 0, 1, 4, 5, 8, 9, 12, 13, 16, 17, 20, 21, 24, 25, 28, 29);
+    PairsOfFloats high = __builtin_shufflevector(fore, rear, 2, 3, 6, 7, 10, 11, 14, 15, 18, 19, 22, 23, 26, 27, 30, 31);
     PairsOfFloats both = __builtin_shufflevector(z, z, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7);
     return (Pairs)((high - low) * both + low);
 }
 
-/* Light scattered against directions, of the nearest cells; place: in cells. */
-static inline Floats sample_source(const LightGather *gather, const Floats *place, const Floats *direction) {
+/* Light scattered against directions, of the nearest cells; position: in cells. */
+static inline Floats sample_source(const LightGather *gather, const Floats *position, const Floats *direction) {
     int64_t n = gather->light_edge, first[LANES];
     Ints cell = {0};
     Pairs fluence_and_x, y_and_z;
     for (int axis = 0; axis < 3; axis++) {
-        Ints along = to_ints(clamped_to(place[axis], in_all(0.0f), in_all((float)(n - 1))));
+        Ints along = to_ints(clamped_to(position[axis], in_all(0.0f), in_all((float)(n - 1))));
         cell = cell * (int32_t)n + along;
     }
     Longs at = to_longs(cell) * 4;
@@ -98,25 +98,25 @@ static inline void gather_rays(const LightGather *gather, const float *position,
     Floats extinction = first_of(sample_media_pairs(gather, at)) * sigma;
     step = least_of(in_all(1.0f / cells), thickness / larger_of(extinction, in_all(1e-6f)));
     for (int64_t n = 0; n < gather->steps; n++) {
-        Floats place[3], lost;
+        Floats point[3], lost;
         Floats middle = distance + 0.5f * step;
         Ints within = tau < 48.0f;
         for (int axis = 0; axis < 3; axis++) {
-            place[axis] = position[axis] + 0.5f + middle * direction[axis];
-            at[axis] = place[axis] * cells;
-            within &= (place[axis] > -0.1f) & (place[axis] < 1.1f);
+            point[axis] = position[axis] + 0.5f + middle * direction[axis];
+            at[axis] = point[axis] * cells;
+            within &= (point[axis] > -0.1f) & (point[axis] < 1.1f);
         }
         if (!any_lane(within)) break;
         Pairs media = sample_media_pairs(gather, at);
         extinction = first_of(media) * sigma;
         Floats gained = extinction * step, lit = transmittance(second_of(media) * (sigma * third));
-        for (int axis = 0; axis < 3; axis++) at[axis] = place[axis] * coarse + shift[axis];
-        Floats kept = exp_minus(gained * third, &lost);
+        for (int axis = 0; axis < 3; axis++) at[axis] = point[axis] * coarse + shift[axis];
+        Floats transmitted = exp_minus(gained * third, &lost);
         Floats passed = open * open * open * cubed_rest(lost);
         single += passed * (lit * lit * lit);
         scattered += passed * sample_source(gather, at, direction);
         reduced += open * lit * lost;
-        open *= kept;
+        open *= transmitted;
         tau += gained;
         distance += step;
         Floats thin = thickness * (1.0f + tau) / larger_of(extinction, in_all(1e-6f));

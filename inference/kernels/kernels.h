@@ -93,9 +93,9 @@ typedef struct {
     Pyramid pyramids[6];     /* around the positive and the negative direction of each axis */
     double lamp[3];          /* in continuous indices */
     double world_from_index[9];
-    int64_t integrated;      /* whether the last part of the way is integrated */
+    int64_t integrated;      /* whether depths are integrated from the slice before */
     double centre[3];        /* of the lamp's sphere, in continuous indices, */
-    double radius, offset[3];  /* its radius, and the lamp's place less its centre, in the world, */
+    double radius, offset[3];  /* its radius, and the lamp's position less its centre, in the world, */
     int64_t soft_falloff;    /* whether light starts on a disk, */
     double around;           /* the mean density within the sphere, */
     int64_t uneven;          /* whether excess varies with the density on the first part of the way, */
@@ -110,7 +110,7 @@ typedef struct {
     double frames[54];       /* (6, 3, 3), axes of the faces as columns */
 } LampShadowMap;
 
-/* A part of a lamp of power 1: SphereEmitter, or QuadEmitter where flat. */
+/* An emitter of a lamp of power 1: SphereEmitter, or QuadEmitter where flat. */
 typedef struct {
     int64_t flat;
     double position[3];      /* from which its light seems to come */
@@ -124,7 +124,7 @@ typedef struct {
     double nodes[12], areas[4];  /* of a quadrature over its surface, */
     double far;              /* and the square of the distance from which on it is used */
     double tangent, focus;   /* of half its spread, and the brightness of its axis; tangent 0: diffuse */
-    double focused;          /* what the tangent is divided by for the focus */
+    double focused;          /* divisor of the tangent for the focus */
 } Emitter;
 
 /* A lamp. */
@@ -133,9 +133,9 @@ typedef struct {
     const Emitter *parts;            /* (emitters) */
     const LampColumns *const *columns;  /* (emitters, volumes) */
     const LampShadowMap *shadow_maps;  /* (emitters), or NULL where no surface shadows volumes */
-    double centre[3], reach;         /* of a sphere around its parts */
-    double smooth;                   /* between places on a ray that are this part of their distance apart, or less, its
-                                        light varies about linearly; 0: nowhere */
+    double centre[3], reach;         /* of a sphere around its emitters */
+    double smooth;                   /* largest spacing of positions on a ray, over their distance, between which its
+                                        light is about linear; 0: none */
     const Grid *mean;                /* optical depth of all its light at the voxels of the only volume, and those around
                                         it; or NULL */
     double mean_from;                /* distance from which on that is used */
@@ -173,9 +173,9 @@ typedef struct {
     const Lamp *lamp_list;           /* (lamps) */
     const Fluence *lamp_fluence;     /* (groups), or NULL without ray features of lamps */
     double lamp_radius;              /* by which lamps are softened in ray features */
-    double brief;                    /* steps up to this part of their distance to a lamp take one node, in their middle; */
-    double wide;                     /* steps longer than this part of their distance to a lamp are wide; */
-    int64_t wide_count;              /* these take so many nodes in the angle under which it sees them */
+    double brief;                    /* length over distance to a lamp up to which steps take a node in their middle, */
+    double wide;                     /* and above which they are wide */
+    int64_t wide_count;              /* nodes of wide steps, in the angle under which the lamp sees them */
     const double *wide_nodes, *wide_weights;  /* in [0, 1] */
     const double *nodes;             /* (depth_samples + 1, depth_samples), Gauss-Legendre nodes of each count */
     const double *node_weights;
@@ -184,8 +184,8 @@ typedef struct {
     int64_t at_start;                /* whether each ray has one depth sample, where it begins */
     double step_thickness;           /* optical thickness that steps may have where a ray begins, */
     double step_growth;              /* and the optical depth over which that grows by e; */
-    double peak_thickness;           /* the same of steps as dense as the densest place near, which are not cut below */
-    double peak_growth, finest;      /* a part of a coarse step */
+    double peak_thickness;           /* the same of steps as dense as the densest voxel near, which are not cut below */
+    double peak_growth, finest;      /* a fraction of a coarse step */
     double behind, behind_emission;  /* optical depths up to which rays are marched */
     double min_alpha;
     double dark;
@@ -205,7 +205,7 @@ typedef struct {
     void *scratch;
 } Rays;
 
-/* What rays gather; the samples of all rays follow one another. */
+/* Results of marching; the samples of all rays follow one another. */
 typedef struct {
     double *alpha, *depth;               /* (rays) */
     double *optical_depth;               /* (rays, volumes) */

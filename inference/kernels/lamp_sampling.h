@@ -58,19 +58,19 @@ static inline Floats inverse_roots(Floats x) {
 #define FIRST_PART 3.0f
 #define EXCESS_MOST 1.5f
 
-/* Mean density on a share of the ways from the sphere's centre, of components steps, over that around it. */
-static inline Floats relative_density(const LampColumns *lamp, const Floats *steps, Floats share) {
+/* Mean density on the first fraction of rays from the sphere's centre, of components `steps`, over that around it. */
+static inline Floats relative_density(const LampColumns *lamp, const Floats *steps, Floats fraction) {
     Floats total = in_all(0.0f);
     for (int node = 0; node < 2; node++) {
-        Floats place[3];
+        Floats position[3];
         for (int axis = 0; axis < 3; axis++)
-            place[axis] = (float)lamp->centre[axis] + steps[axis] * ((float)GAUSS_NODES[node] * share);
-        total += sample_grid(&lamp->density, place);
+            position[axis] = (float)lamp->centre[axis] + steps[axis] * ((float)GAUSS_NODES[node] * fraction);
+        total += sample_grid(&lamp->density, position);
     }
     return clamped_to(0.5f * total / (float)larger(lamp->around, 1e-30), in_all(0.0f), in_all(EXCESS_MOST));
 }
 
-/* What the light of a sphere has to pass beyond that from the lamp's place: LampOpticalDepth._beyond. */
+/* Optical depth of a sphere's light less that from the lamp's position: sphere_depth.excess_depths. */
 static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, float sigma_t) {
     Floats steps[3], square = in_all(1e-30f), along = in_all(0.0f), total = in_all(0.0f), below, above;
     float apart = 0.0f, radius = (float)lamp->radius;
@@ -92,21 +92,21 @@ static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, 
         missing -= start * inverse_roots(start);
     }
     for (int node = 0; node < 2; node++) {
-        Floats place[3], back = (float)GAUSS_NODES[node] * missing * inverse;
-        for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] - steps[axis] * back;
-        total += sample_grid(&lamp->density, place);
+        Floats position[3], back = (float)GAUSS_NODES[node] * missing * inverse;
+        for (int axis = 0; axis < 3; axis++) position[axis] = (float)lamp->lamp[axis] - steps[axis] * back;
+        total += sample_grid(&lamp->density, position);
     }
-    /* Near the sphere its light comes from around it, through matter of which the mean is known. */
+    /* Near the sphere, light comes from all around it, through matter of known mean density. */
     Floats far = clamped_to(1.0f - radius * radius * (inverse * inverse), in_all(0.0f), in_all(1.0f));
     Floats density = far * (0.5f * total) + (1.0f - far) * (float)lamp->around;
-    Floats place = distance / (distance + radius) * (float)(EXCESS_NODES - 1);
-    place = clamped_to(place, in_all(0.0f), in_all((float)(EXCESS_NODES - 1)));
+    Floats position = distance / (distance + radius) * (float)(EXCESS_NODES - 1);
+    position = clamped_to(position, in_all(0.0f), in_all((float)(EXCESS_NODES - 1)));
     FOR_LANES(n) {
-        int cell = place[n] < (float)(EXCESS_NODES - 2) ? (int)place[n] : EXCESS_NODES - 2;
+        int cell = position[n] < (float)(EXCESS_NODES - 2) ? (int)position[n] : EXCESS_NODES - 2;
         below[n] = lamp->excess[cell], above[n] = lamp->excess[cell + 1];
-        place[n] -= (float)cell;
+        position[n] -= (float)cell;
     }
-    Floats more = lerp_lanes(below, above, place);
+    Floats more = lerp_lanes(below, above, position);
     Floats first = clamped_to(FIRST_PART * radius * inverse, in_all(0.0f), in_all(1.0f));
     if (lamp->uneven) more *= relative_density(lamp, steps, first);
     return more + sigma_t * missing * density;
@@ -115,13 +115,13 @@ static inline Floats depth_beyond(const LampColumns *lamp, const Floats *index, 
 /* Optical depths towards a lamp at continuous indices. */
 static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, float sigma_t) {
     static const float zeros[2] = {0.0f, 0.0f};
-    Floats away[3], size[3], part[2], begin, share, span, length = in_all(0.0f);
+    Floats away[3], size[3], fraction[2], begin, passed_fraction, span, length = in_all(0.0f);
     Pairs near[2], far[2];
     for (int axis = 0; axis < 3; axis++) {
         away[axis] = clamped_to(index[axis] - (float)lamp->lamp[axis], in_all(-FAR_AWAY), in_all(FAR_AWAY));
         size[axis] = choose(away[axis] < 0.0f, -away[axis], away[axis]);
     }
-    /* The axis along which each is farthest from the lamp, and the places along the others, in order. */
+    /* The axis along which each point is farthest from the lamp, and slopes along the others, in order. */
     Ints second = size[1] > size[0], third = size[2] > choose(second, size[1], size[0]);
     Floats along = choose(third, size[2], choose(second, size[1], size[0]));
     Ints inside = along > 0.0f;
@@ -143,42 +143,42 @@ static inline Floats lamp_depth(const LampColumns *lamp, const Floats *index, fl
             first[n] = (float)pyramid->first[k], spacing[n] = (float)pyramid->spacing[k];
             last[n] = (float)(pyramid->size[k] - 1);
         }
-        Floats place = (slope[k] - first) / spacing;
-        inside &= (place >= -COLUMN_ROUNDING) & (place <= last + COLUMN_ROUNDING);
-        place = clamped_to(place, in_all(0.0f), choose(last > 0.0f, last, in_all(0.0f)));
-        cell[k] = to_ints(place);
+        Floats position = (slope[k] - first) / spacing;
+        inside &= (position >= -COLUMN_ROUNDING) & (position <= last + COLUMN_ROUNDING);
+        position = clamped_to(position, in_all(0.0f), choose(last > 0.0f, last, in_all(0.0f)));
+        cell[k] = to_ints(position);
         cell[k] += to_floats(cell[k]) > last - 1.0f;
-        part[k] = place - to_floats(cell[k]);
+        fraction[k] = position - to_floats(cell[k]);
     }
     FOR_LANES(n) {
         const Pyramid *pyramid = lamp->pyramids + number[n];
         near[0][n] = near[1][n] = far[0][n] = far[1][n] = pair_at(zeros);
-        begin[n] = share[n] = span[n] = 0.0f;
+        begin[n] = passed_fraction[n] = span[n] = 0.0f;
         if (pyramid->slices < 2) inside[n] = 0;
         if (!inside[n]) continue;
         int64_t slice = slice_before(pyramid, along[n]), width = pyramid->size[1], step = pyramid->size[0] * width;
-        double start = pyramid->starts[slice], whole = pyramid->starts[slice + 1] - start;
-        double passed = larger(smaller((double)along[n] - start, whole), 0.0);
+        double start = pyramid->starts[slice], gap = pyramid->starts[slice + 1] - start;
+        double passed = larger(smaller((double)along[n] - start, gap), 0.0);
         begin[n] = (float)start;
-        share[n] = (float)(passed / whole);
+        passed_fraction[n] = (float)(passed / gap);
         span[n] = (float)passed;
         const float *at = pyramid->depths + slice * step + cell[0][n] * width + cell[1][n];
         near[0][n] = pair_at(at), near[1][n] = pair_at(at + width);
         far[0][n] = pair_at(at + step), far[1][n] = pair_at(at + step + width);
     }
     if (!any_lane(inside)) return in_all(0.0f);
-    Floats depth = lerp_lanes(lerp_pairs(near[0], part[1]), lerp_pairs(near[1], part[1]), part[0]);
+    Floats depth = lerp_lanes(lerp_pairs(near[0], fraction[1]), lerp_pairs(near[1], fraction[1]), fraction[0]);
     if (lamp->integrated) {
         Floats total = in_all(0.0f);
         for (int node = 0; node < 2; node++) {
-            Floats place[3], scale = (begin + (float)GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
-            for (int axis = 0; axis < 3; axis++) place[axis] = (float)lamp->lamp[axis] + away[axis] * scale;
-            total = total + sample_grid(&lamp->density, place);
+            Floats position[3], scale = (begin + (float)GAUSS_NODES[node] * span) / choose(inside, along, in_all(1.0f));
+            for (int axis = 0; axis < 3; axis++) position[axis] = (float)lamp->lamp[axis] + away[axis] * scale;
+            total = total + sample_grid(&lamp->density, position);
         }
         depth = depth + 0.5f * total * span;
     } else {
-        Floats after = lerp_lanes(lerp_pairs(far[0], part[1]), lerp_pairs(far[1], part[1]), part[0]);
-        depth = lerp_lanes(depth, after, share);
+        Floats after = lerp_lanes(lerp_pairs(far[0], fraction[1]), lerp_pairs(far[1], fraction[1]), fraction[0]);
+        depth = lerp_lanes(depth, after, passed_fraction);
     }
     /* Cubic interpolation may fall below 0 beside sharp edges. */
     depth = choose(inside & (depth > 0.0f), depth * length, in_all(0.0f)) * sigma_t;
@@ -258,7 +258,7 @@ static inline double quad_fluence(const Emitter *emitter, const double *point, c
     return emitter->radiance * angle;
 }
 
-/* Fluence of a part of a lamp of power 1 if it faced a world point. */
+/* Fluence of an emitter, of a lamp of power 1, if it faced a world point. */
 static inline double brightest(const Emitter *emitter, const double *point) {
     double away[3];
     const double *from = emitter->flat ? emitter->position : emitter->centre;
@@ -277,7 +277,7 @@ static inline double brightest(const Emitter *emitter, const double *point) {
     return 2.0 * emitter->intensity / (square * (1.0 + sqrt(1.0 - smaller(area / square, 1.0))));
 }
 
-/* Share of the light of a part of a spot at a world point that the cone lets pass: SphereEmitter._within_cone and
+/* Fraction of a spot emitter's light at a world point that the cone lets pass: SphereEmitter._within_cone and
 SpotCone.passed. */
 static inline double within_cone(const Emitter *emitter, const double *point) {
     static const double turns[3] = {0.8660254037844387, 0.0, -0.8660254037844387};
@@ -314,7 +314,7 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
     return passed * (narrow ? cone / larger(1.0 - cap, 1e-30) : 1.0) / 6.0;
 }
 
-/* Distances along a ray between which a part of a lamp may light it: SpotCone.between. */
+/* Distances along a ray between which an emitter may light it: SpotCone.between. */
 static inline void lit_interval(const Emitter *emitter, const double *origin, const double *direction, double *lit) {
     lit[0] = -INFINITY, lit[1] = INFINITY;
     if (!emitter->cone) return;
@@ -338,13 +338,13 @@ static inline void lit_interval(const Emitter *emitter, const double *origin, co
     }
 }
 
-/* Fluence of a part of a lamp of power 1 at a world point. */
+/* Fluence of an emitter, of a lamp of power 1, at a world point. */
 static inline double emitter_fluence(const Emitter *emitter, const double *point) {
     double away[3];
     for (int k = 0; k < 3; k++) away[k] = point[k] - emitter->position[k];
     if (emitter->flat) return quad_fluence(emitter, point, away);
-    double found = brightest(emitter, point);
-    return emitter->cone ? found * within_cone(emitter, point) : found;
+    double fluence = brightest(emitter, point);
+    return emitter->cone ? fluence * within_cone(emitter, point) : fluence;
 }
 
 /* Lengths of vectors squared, within the range of inverse_roots. */
@@ -353,9 +353,9 @@ static inline Floats squares_of(const Floats *vector) {
     return clamped_to(square, in_all(1e-30f), in_all(1e30f));
 }
 
-/* Vectors from a place to points, whose difference may have far fewer digits than they. */
-static inline void vectors_from(const double *place, const Doubles *point, Floats *away) {
-    for (int k = 0; k < 3; k++) away[k] = __builtin_convertvector(point[k] - place[k], Floats);
+/* Vectors from an origin to points, whose difference may have far fewer digits than they. */
+static inline void vectors_from(const double *origin, const Doubles *point, Floats *away) {
+    for (int k = 0; k < 3; k++) away[k] = __builtin_convertvector(point[k] - origin[k], Floats);
 }
 
 static inline Floats quad_fluences(const Emitter *emitter, const Doubles *point) {
@@ -386,15 +386,15 @@ static inline Floats quad_fluences(const Emitter *emitter, const Doubles *point)
         }
         angle *= total * (float)(1.0 / (9.0 * emitter->focused));
     }
-    Floats found = choose(lit, angle * (float)emitter->radiance, in_all(0.0f));
+    Floats fluence = choose(lit, angle * (float)emitter->radiance, in_all(0.0f));
     if (any_lane(near)) {
         FOR_LANES(n) {
             double at[3] = {point[0][n], point[1][n], point[2][n]}, from[3];
             for (int k = 0; k < 3; k++) from[k] = at[k] - emitter->position[k];
-            if (near[n]) found[n] = (float)quad_fluence(emitter, at, from);
+            if (near[n]) fluence[n] = (float)quad_fluence(emitter, at, from);
         }
     }
-    return found;
+    return fluence;
 }
 
 /* As `brightest`, of several points. */
@@ -420,17 +420,17 @@ static inline Floats brightest_of(const Emitter *emitter, const Doubles *point) 
 /* As emitter_fluence, of several points. */
 static inline Floats emitter_fluences(const Emitter *emitter, const Doubles *point) {
     if (emitter->flat) return quad_fluences(emitter, point);
-    Floats found = brightest_of(emitter, point);
-    if (!emitter->cone) return found;
+    Floats fluence = brightest_of(emitter, point);
+    if (!emitter->cone) return fluence;
     FOR_LANES(n) {
         /* In double precision, as a cone's edge may be sharp. */
         double at[3] = {point[0][n], point[1][n], point[2][n]};
-        found[n] *= (float)within_cone(emitter, at);
+        fluence[n] *= (float)within_cone(emitter, at);
     }
-    return found;
+    return fluence;
 }
 
-/* Fluence of a lamp of power 1 as if it were no nearer than a distance. */
+/* Fluence of a lamp of power 1, limited as if the lamp were no nearer than `radius`. */
 static inline Floats softened(Floats fluence, double radius) {
     return fluence / (1.0f + fluence * (float)(4.0 * PI * radius * radius));
 }

@@ -6,15 +6,15 @@
 
 #include "samples.h"
 
-/* Phase function, 1/sr, of a lamp's light towards the camera at a point that lies `behind` the place where the ray
-passes the lamp; passing: square of the lamp's distance from the ray, distance: from the point. */
+/* Phase function, 1/sr, of a lamp's light towards the camera at a point that lies `behind` the ray's nearest point to
+the lamp; passing: square of the lamp's distance from the ray, distance: from the point. */
 static inline double scattered_back(const float *phase, double behind, double passing, double distance) {
     /* The square root of 1 - |cosine|, without cancellation. */
-    double place = sqrt(passing / larger(distance * (distance + fabs(behind)), 1e-60)) * MRPNN_PHASES;
+    double position = sqrt(passing / larger(distance * (distance + fabs(behind)), 1e-60)) * MRPNN_PHASES;
     const float *table = phase + (behind > 0.0 ? MRPNN_PHASES + 1 : 0);
-    place = place < MRPNN_PHASES ? place : MRPNN_PHASES;
-    int64_t cell = within((int64_t)place, MRPNN_PHASES - 1);
-    return table[cell] + (place - (double)cell) * (table[cell + 1] - table[cell]);
+    position = position < MRPNN_PHASES ? position : MRPNN_PHASES;
+    int64_t cell = within((int64_t)position, MRPNN_PHASES - 1);
+    return table[cell] + (position - (double)cell) * (table[cell + 1] - table[cell]);
 }
 
 /* As scattered_back, of several points. */
@@ -23,25 +23,25 @@ static inline Floats scattered_back_at(const float *phase, Doubles behind, Doubl
     Floats square = __builtin_convertvector(behind * behind + passing, Floats);
     square = clamped_to(square, in_all(1e-30f), in_all(1e30f));
     Floats distance = square * inverse_roots(square);
-    Floats share = __builtin_convertvector(passing, Floats) / (distance * (distance + size));
-    share = clamped_to(share, in_all(1e-30f), in_all(1.0f));
-    Floats place = share * inverse_roots(share) * (float)MRPNN_PHASES, here, next;
-    Ints cell = ints_within(to_ints(place), MRPNN_PHASES - 1);
+    Floats versine = __builtin_convertvector(passing, Floats) / (distance * (distance + size));
+    versine = clamped_to(versine, in_all(1e-30f), in_all(1.0f));
+    Floats position = versine * inverse_roots(versine) * (float)MRPNN_PHASES, below, above;
+    Ints cell = ints_within(to_ints(position), MRPNN_PHASES - 1);
     FOR_LANES(n) {
         const float *at = phase + (along[n] > 0.0f ? MRPNN_PHASES + 1 : 0) + cell[n];
-        here[n] = at[0], next[n] = at[1];
+        below[n] = at[0], above[n] = at[1];
     }
-    return lerp_lanes(here, next, least_of(place - to_floats(cell), in_all(1.0f)));
+    return lerp_lanes(below, above, least_of(position - to_floats(cell), in_all(1.0f)));
 }
 
-/* A ray as a part of a lamp sees it. */
+/* A ray as an emitter sees it. */
 typedef struct {
     const Emitter *emitter;
     const Ray *ray;
-    double origin[3];  /* of the ray, from the part */
-    double nearest;    /* distance on the ray to where it passes the part, */
-    double passing;    /* and the square of the part's distance from there */
-    double lit[2];     /* distances from there between which the part may light the ray */
+    double origin[3];  /* of the ray, from the emitter */
+    double nearest;    /* distance on the ray to its nearest point to the emitter, */
+    double passing;    /* and the square of the emitter's distance from there */
+    double lit[2];     /* distances from there between which the emitter may light the ray */
 } Pass;
 
 static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
@@ -57,8 +57,8 @@ static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
     return pass;
 }
 
-/* Turn the direction from a part of a spot to a point into the cone, within which all its light travels: where a ray
-passes a light that is seen in that direction at the distance 1. */
+/* Turn the direction from a spot's emitter to a point into the cone, within which all its light travels; gives `behind`
+and `passing` of a light that is seen in that direction at the distance 1. */
 static inline void turn_into_cone(const Pass *pass, double *behind, double *passing) {
     const Emitter *emitter = pass->emitter;
     double away[3], direction[3];
@@ -75,10 +75,10 @@ static inline void turn_into_cone(const Pass *pass, double *behind, double *pass
     *passing = 1.0 - *behind * *behind;
 }
 
-/* Add the single scattering of one step that is not far shorter than its distance to a part of a lamp: the nodes lie in
-the angle under which that sees the step, in which the inverse square is constant.
+/* Add the single scattering of a step that is not far shorter than its distance to an emitter: the nodes lie in the
+angle under which the emitter sees the step, in which the inverse square is constant.
 
-ends: of the step, from where the ray passes the part. weight: of its light. */
+ends: of the step, from the ray's nearest point to the emitter. weight: of its light. */
 static void add_bent(const Scene *scene, const Pass *pass, const double *ends, double weight, int64_t s,
                      const Work *work, double *single, int64_t stride) {
     const Emitter *emitter = pass->emitter;
@@ -105,34 +105,34 @@ static void add_bent(const Scene *scene, const Pass *pass, const double *ends, d
     }
 }
 
-/* Add the single scattering of a node of some steps: where it lies behind the place where the ray passes the part, and
-the light there times the length that it stands for. */
-static inline void add_node(const Scene *scene, const Pass *pass, Ints some, Doubles behind, Floats light, int64_t first,
+/* Add the single scattering of a node in each of the `used` steps: its distance behind the ray's nearest point to the
+emitter, and the light there times the length that the node stands for. */
+static inline void add_node(const Scene *scene, const Pass *pass, Ints used, Doubles behind, Floats light, int64_t first,
                             const Work *work, double *single, int64_t stride) {
     Doubles passing = (Doubles){0} + pass->passing;
     if (pass->emitter->cone) {
         FOR_LANES(n) {
-            double place = behind[n], apart = pass->passing;
-            turn_into_cone(pass, &place, &apart);
-            behind[n] = place, passing[n] = apart;
+            double turned = behind[n], apart = pass->passing;
+            turn_into_cone(pass, &turned, &apart);
+            behind[n] = turned, passing[n] = apart;
         }
     }
     for (int64_t v = 0; v < scene->volumes; v++) {
-        Ints filled = some & (load(work->sigma + v * work->stride + first) > 0.0f);
+        Ints filled = used & (load(work->sigma + v * work->stride + first) > 0.0f);
         if (!any_lane(filled)) continue;
         Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, passing);
         for (int64_t c = 0; c < scene->scattering; c++) {
-            Floats found = scattered * load(scattering_of(scene, work, v, c) + first);
+            Floats added = scattered * load(scattering_of(scene, work, v, c) + first);
             double sum = 0.0;
-            FOR_LANES(n) sum += filled[n] ? (double)found[n] : 0.0;
+            FOR_LANES(n) sum += filled[n] ? (double)added[n] : 0.0;
             single[v * stride + c] += sum;
         }
     }
 }
 
-/* Single scattering of one part of a lamp: as add_single, with the integrals over steps of its fluence times the phase
-function: of one node in the middle of steps that are very short for their distance, of two in others, and in steps
-that are not far shorter than it those of add_bent. */
+/* Single scattering of an emitter: as add_single, with the integrals over steps of its fluence times the phase
+function. Steps that are very short for their distance have a node in their middle, others two, and steps that are not
+far shorter than their distance the nodes of add_bent. */
 static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *ray, const Work *work, double *single,
                         int64_t stride) {
     const Pass pass = pass_of(emitter, ray);
@@ -190,7 +190,7 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
     }
 }
 
-/* Places within steps, in the world. The last step again where there are no more. */
+/* World points within steps. The last step again where there are no more. */
 static inline void points_in(const Ray *ray, const Work *work, const int64_t *numbers, const float *inside, int64_t count,
                              int64_t first, Doubles *point) {
     Doubles distance;
@@ -201,17 +201,17 @@ static inline void points_in(const Ray *ray, const Work *work, const int64_t *nu
     for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
 }
 
-/* What a part of a lamp gives to the middles of steps without what lies in between, in `light`; it is added, as often as
-there are parts that give the same, to what all of them give, and to what they would if they faced the steps. */
+/* Unattenuated fluence of an emitter in the middles of steps, in `light`. It is added, times the number of emitters
+that are alike, to the lamp's, and so is the fluence that it would have if it faced the steps. */
 static void look_up_fluence(const Emitter *emitter, const Ray *ray, float alike, int features, Work *work) {
     int64_t steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
         Doubles point[3];
         points_in(ray, work, NULL, NULL, steps, first, point);
-        Floats found = emitter_fluences(emitter, point);
-        store(work->light + first, found);
+        Floats fluence = emitter_fluences(emitter, point);
+        store(work->light + first, fluence);
         if (!features) continue;
-        store(work->given + first, load(work->given + first) + alike * found);
+        store(work->fluence + first, load(work->fluence + first) + alike * fluence);
         store(work->reference + first, load(work->reference + first) + alike * brightest_of(emitter, point));
     }
 }
@@ -228,21 +228,21 @@ static void list_nodes(Work *work) {
     }
 }
 
-/* Add what a part of a lamp gives to the ends of blocks. */
+/* Add the light of an emitter at the ends of blocks. */
 static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *ray, int features, Work *work) {
     const Pass pass = pass_of(emitter, ray);
     for (int64_t first = 0; first < work->nodes; first += LANES) {
         Doubles distance, point[3];
         FOR_LANES(n) distance[n] = ray->near + work->node_place[least_int(first + n, work->nodes - 1)] * ray->dt;
         for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
-        Floats found = emitter_fluences(emitter, point);
+        Floats fluence = emitter_fluences(emitter, point);
         for (int64_t v = 0; v < scene->volumes; v++) {
             float *light = work->node_light + v * work->stride + first;
-            Doubles passing = (Doubles){0} + pass.passing;
-            store(light, load(light) + found * scattered_back_at(scene->media[v].phase, distance - pass.nearest, passing));
+            Doubles passing = (Doubles){0} + pass.passing, behind = distance - pass.nearest;
+            store(light, load(light) + fluence * scattered_back_at(scene->media[v].phase, behind, passing));
         }
         if (!features) continue;
-        store(work->node_given + first, load(work->node_given + first) + found);
+        store(work->node_fluence + first, load(work->node_fluence + first) + fluence);
         store(work->node_reference + first, load(work->node_reference + first) + brightest_of(emitter, point));
     }
 }
@@ -250,23 +250,23 @@ static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *
 static void clear_nodes(const Scene *scene, Work *work) {
     size_t size = (size_t)(work->nodes + LANES - 1) / LANES * LANES * sizeof(float);
     for (int64_t v = 0; v < scene->volumes; v++) memset(work->node_light + v * work->stride, 0, size);
-    memset(work->node_given, 0, size);
+    memset(work->node_fluence, 0, size);
     memset(work->node_reference, 0, size);
 }
 
 /* Interpolate between the ends of blocks: at the middles of steps, which are whole lanes. */
-static void spread(const float *at_nodes, const Work *work, float *out) {
-    const Floats share = {0.125f, 0.375f, 0.625f, 0.875f, 0.125f, 0.375f, 0.625f, 0.875f};
+static void interpolate_nodes(const float *at_nodes, const Work *work, float *out) {
+    const Floats fraction = {0.125f, 0.375f, 0.625f, 0.875f, 0.125f, 0.375f, 0.625f, 0.875f};
     for (int64_t b = 0; b < work->blocks; b += LANES / STEPS) {
         int32_t node = work->first_node[b], next = work->first_node[least_int(b + 1, work->blocks - 1)];
         float a = at_nodes[node], c = at_nodes[next];
         float more = at_nodes[node + 1] - a, further = at_nodes[next + 1] - c;
         const Floats start = {a, a, a, a, c, c, c, c}, rise = {more, more, more, more, further, further, further, further};
-        store(out + STEPS * b, start + share * rise);
+        store(out + STEPS * b, start + fraction * rise);
     }
 }
 
-/* Single scattering, and what the middles of steps are given, from the light at the ends of blocks. */
+/* Single scattering, and fluence in the middles of steps, from the light at the ends of blocks. */
 static void add_from_nodes(const Scene *scene, int features, Work *work, double *single, int64_t stride) {
     int64_t steps = STEPS * work->blocks;
     float *weight = work->received, *light = work->light;
@@ -276,20 +276,20 @@ static void add_from_nodes(const Scene *scene, int features, Work *work, double 
         store(weight + s, passed * load(work->visible + s));
     }
     for (int64_t v = 0; v < scene->volumes; v++) {
-        spread(work->node_light + v * work->stride, work, light);
+        interpolate_nodes(work->node_light + v * work->stride, work, light);
         for (int64_t s = 0; s < steps; s += LANES) store(light + s, load(light + s) * load(weight + s));
         for (int64_t c = 0; c < scene->scattering; c++) {
             single[v * stride + c] += sum_of(scattering_of(scene, work, v, c), light, work);
         }
     }
     if (!features) return;
-    spread(work->node_reference, work, light);
+    interpolate_nodes(work->node_reference, work, light);
     for (int64_t s = 0; s < steps; s += LANES) store(work->reference + s, load(work->reference + s) + load(light + s));
-    spread(work->node_given, work, light);
-    for (int64_t s = 0; s < steps; s += LANES) store(work->given + s, load(work->given + s) + load(light + s));
+    interpolate_nodes(work->node_fluence, work, light);
+    for (int64_t s = 0; s < steps; s += LANES) store(work->fluence + s, load(work->fluence + s) + load(light + s));
 }
 
-/* Optical depths of all light of a lamp, at the ends of filled steps, in the only volume. */
+/* Mean optical depths of a lamp's light at the ends of filled steps, in the only volume. */
 static void look_up_mean(const Scene *scene, const Grid *mean, int64_t edges, Work *work) {
     float dark = (float)scene->dark;
     for (int64_t s = 0; s < STEPS * work->blocks; s++) work->start[s] = work->end[s] = dark;
@@ -313,61 +313,60 @@ static double distance_of(const Lamp *lamp, const Ray *ray, const Work *work) {
     return sqrt(square);
 }
 
-/* What stands for the light of a lamp in ray features: what it gives, but no less than a part of what it would if it
-faced the point. */
-static inline Floats reference_of(Floats given, Floats most) {
+/* Fluence of a lamp in ray features: no less than a fraction of the fluence if it faced the point. */
+static inline Floats reference_of(Floats fluence, Floats most) {
     most *= LEAST_FACING;
-    return clamped_to(choose(given > most, given, most), in_all(1e-30f), in_all(1e30f));
+    return clamped_to(choose(fluence > most, fluence, most), in_all(1e-30f), in_all(1e30f));
 }
 
 /* The light of a lamp at the samples of a ray on a coarse scale. */
 static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, int64_t count, Work *work) {
     for (int64_t first = 0; first < count; first += LANES) {
         Doubles point[3];
-        Floats given = in_all(0.0f), most = in_all(0.0f);
+        Floats fluence = in_all(0.0f), most = in_all(0.0f);
         points_in(ray, work, work->sample_step, work->sample_inside, count, first, point);
         for (int64_t e = 0; e < lamp->emitters; e++) {
-            given += emitter_fluences(lamp->parts + e, point);
+            fluence += emitter_fluences(lamp->parts + e, point);
             most += brightest_of(lamp->parts + e, point);
         }
-        Floats coarse = softened(reference_of(given, most), scene->lamp_radius);
+        Floats coarse = softened(reference_of(fluence, most), scene->lamp_radius);
         for (int n = 0; n < LANES && first + n < count; n++) {
             work->sample_light[first + n] = coarse[n] > 1e-30f ? coarse[n] : 1e-30f;
         }
     }
 }
 
-/* Add the light of a part of a lamp behind the optical depths, and what surfaces let through of it, to those of all. */
+/* Add an emitter's light, attenuated by the optical depths, and by surfaces, to the sums over emitters. */
 static void add_part(const Scene *scene, int alone, Work *work) {
     int64_t stride = work->stride, steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
-        Floats found = load(work->light + first), next = found;
-        Ints known = load(work->total + first) > 0.0f;
-        store(work->lit + first, load(work->lit + first) + found * load(work->visible + first));
+        Floats light = load(work->light + first), next = light;
+        Ints filled = load(work->total + first) > 0.0f;
+        store(work->lit + first, load(work->lit + first) + light * load(work->visible + first));
         if (alone) continue;
         /* The edge between two steps belongs to the second. */
         FOR_LANES(n) {
-            if (n % STEPS < STEPS - 1 && known[n + 1]) next[n] = found[n + 1];
+            if (n % STEPS < STEPS - 1 && filled[n + 1]) next[n] = light[n + 1];
         }
         for (int64_t g = 0; g < scene->groups; g++) {
             float *starts = work->mean_start + g * stride + first, *ends = work->mean_end + g * stride + first;
-            store(starts, load(starts) + found * transmittance(load(work->start + g * stride + first)));
+            store(starts, load(starts) + light * transmittance(load(work->start + g * stride + first)));
             store(ends, load(ends) + next * transmittance(load(work->end + g * stride + first)));
         }
     }
 }
 
 /* A mean transmittance as an optical depth: the light behind it over that without. */
-static inline float depth_of(float passed, float given, float dark) {
-    float mean = given > 1e-30f ? passed / given : 0.0f;
+static inline float depth_of(float passed, float fluence, float dark) {
+    float mean = fluence > 1e-30f ? passed / fluence : 0.0f;
     return least(-logf(mean > 1e-30f ? mean : 1e-30f), dark);
 }
 
-/* A lamp as one light: what it is on a coarse scale, what is let through of that, and its optical depths. */
+/* A lamp as a single light: fluence on a coarse scale, the fraction that surfaces let through, and optical depths. */
 static void join_parts(const Scene *scene, int alone, Work *work) {
     int64_t stride = work->stride, steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
-        Floats reference = reference_of(load(work->given + first), load(work->reference + first));
+        Floats reference = reference_of(load(work->fluence + first), load(work->reference + first));
         Floats coarse = softened(reference, scene->lamp_radius);
         store(work->received + first, choose(load(work->total + first) > 0.0f, coarse, in_all(0.0f)));
         store(work->lit + first, load(work->lit + first) / reference);
@@ -376,9 +375,9 @@ static void join_parts(const Scene *scene, int alone, Work *work) {
         float *start = work->start + g * stride, *end = work->end + g * stride, dark = (float)scene->dark;
         for (int64_t s = 0; s < steps; s++) {
             int64_t next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? s + 1 : s;
-            int known = work->total[s] > 0.0f;
-            start[s] = known ? depth_of(work->mean_start[g * stride + s], work->given[s], dark) : dark;
-            end[s] = known ? depth_of(work->mean_end[g * stride + s], work->given[next], dark) : dark;
+            int filled = work->total[s] > 0.0f;
+            start[s] = filled ? depth_of(work->mean_start[g * stride + s], work->fluence[s], dark) : dark;
+            end[s] = filled ? depth_of(work->mean_end[g * stride + s], work->fluence[next], dark) : dark;
         }
     }
 }
@@ -395,7 +394,7 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
     }
     int64_t whole = (steps + LANES - 1) / LANES * LANES;
     for (int64_t s = 0; s < whole; s++) {
-        work->lit[s] = work->given[s] = work->reference[s] = 0.0f, work->visible[s] = 1.0f;
+        work->lit[s] = work->fluence[s] = work->reference[s] = 0.0f, work->visible[s] = 1.0f;
     }
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->mean_start[g * most_steps + s] = work->mean_end[g * most_steps + s] = 0.0f;
@@ -421,7 +420,7 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
             add_from_nodes(scene, count > 0, work, single, stride);
             if (!mean) clear_nodes(scene, work);
         } else {
-            /* All parts of a sphere give the same. */
+            /* All emitters of a sphere give the same. */
             int alike = !lamp->parts[e].flat && !lamp->parts[e].cone;
             float times = alike ? (float)lamp->emitters : 1.0f;
             if (!alike || e == 0) look_up_fluence(lamp->parts + e, ray, times, count > 0, work);

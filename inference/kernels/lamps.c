@@ -41,8 +41,8 @@ typedef struct {
     int64_t stride, rows, width;
 } Plane;
 
-/* A plane of a grid; others: the other axes. low, high: places between which its rows are wanted. scratch: for voxels that
-do not follow each other in the grid. */
+/* A plane of a grid; others: the other axes. low, high: positions between which its rows are wanted. scratch: for
+voxels that do not follow each other in the grid. */
 static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int *others, double low, double high,
                       float *scratch) {
     Plane plane = {scratch, grid->shape[others[1]], grid->shape[others[0]], grid->shape[others[1]]};
@@ -61,34 +61,34 @@ static Plane plane_of(const Grid *grid, int64_t axis, int64_t number, const int 
         }
         return plane;
     }
-    int64_t place[3];
-    place[axis] = number + grid->first[axis];
+    int64_t voxel[3];
+    voxel[axis] = number + grid->first[axis];
     for (int64_t row = begin; row < end; row++) {
-        place[others[0]] = row + grid->first[others[0]];
+        voxel[others[0]] = row + grid->first[others[0]];
         for (int64_t n = 0; n < plane.width; n++) {
-            place[others[1]] = n + grid->first[others[1]];
-            int64_t block = ((place[0] >> 3) * grid->size[1] + (place[1] >> 3)) * grid->size[2] + (place[2] >> 3);
-            int64_t voxel = (place[0] & 7) * 64 + (place[1] & 7) * 8 + (place[2] & 7);
-            scratch[row * plane.width + n] = block_values(grid, block)[voxel];
+            voxel[others[1]] = n + grid->first[others[1]];
+            int64_t block = ((voxel[0] >> 3) * grid->size[1] + (voxel[1] >> 3)) * grid->size[2] + (voxel[2] >> 3);
+            int64_t inside = (voxel[0] & 7) * 64 + (voxel[1] & 7) * 8 + (voxel[2] & 7);
+            scratch[row * plane.width + n] = block_values(grid, block)[inside];
         }
     }
     return plane;
 }
 
-/* Whether any of some numbers is not 0; by their bits, which are compared many at a time. */
+/* Whether any value is not 0; by their bits, which are compared many at a time. */
 static int any_of(const float *values, int64_t count) {
     const int32_t *bits = (const int32_t *)values;
-    int32_t found = 0;
-    for (int64_t n = 0; n < count; n++) found |= bits[n] & 0x7fffffff;
-    return found != 0;
+    int32_t nonzero = 0;
+    for (int64_t n = 0; n < count; n++) nonzero |= bits[n] & 0x7fffffff;
+    return nonzero != 0;
 }
 
-/* Interpolate the four rows of a plane around a place. Returns whether any voxel of theirs is not 0. */
-static int row_at(const Plane *plane, double place, float *out) {
-    double below = floor(place);
+/* Interpolate the four rows of a plane around a position. Returns whether any of their voxels is not 0. */
+static int row_at(const Plane *plane, double position, float *out) {
+    double below = floor(position);
     float weights[4];
     if (!(below >= -2.0 && below <= (double)plane->rows)) return 0;
-    cubic_weights(place - below, weights, 1);
+    cubic_weights(position - below, weights, 1);
     for (int64_t n = 0; n < plane->width; n++) out[n] = 0.0f;
     for (int tap = 0; tap < 4; tap++) {
         int64_t row = (int64_t)below + tap - 1;
@@ -107,14 +107,14 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
     float *weights = data->scratch, *density = weights + 4 * c, *line = density + c + 3, *scratch = line + width + 3;
     for (int64_t n = 0; n < 3; n++) line[-1 - n] = line[width + n] = 0.0f;
     if (data->inside && data->planes > 0) {
-        Floats place[3];
-        for (int k = 0; k < 3; k++) place[k] = clamped_to(in_all((float)data->lamp[k]), in_all(-FAR_AWAY), in_all(FAR_AWAY));
-        float first = sample_grid(&data->density, place)[0] * (float)data->ways[0];
+        Floats lamp[3];
+        for (int k = 0; k < 3; k++) lamp[k] = clamped_to(in_all((float)data->lamp[k]), in_all(-FAR_AWAY), in_all(FAR_AWAY));
+        float first = sample_grid(&data->density, lamp)[0] * (float)data->ways[0];
         for (int64_t n = 0; n < b * c; n++) data->running[n] += first;
     }
     for (int64_t p = 0; p < data->planes; p++) {
         double along = fabs((double)data->numbers[p] - data->lamp[axis]);
-        float before = (float)data->ways[2 * p], whole = before + (float)data->ways[2 * p + 1];
+        float before = (float)data->ways[2 * p], both = before + (float)data->ways[2 * p + 1];
         float *out = data->slices[p] ? pyramid->depths + within(data->slices[p], pyramid->slices - 1) * b * c : NULL;
         double across = data->lamp[others[0]] + along * pyramid->first[0], apart = along * pyramid->spacing[0];
         Plane plane = plane_of(&data->density, axis, within(data->numbers[p], last), others, across,
@@ -125,9 +125,9 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
         int64_t low = (int64_t)larger(smaller(ceil((-2.0 - first) / step), (double)c), 0.0);
         int64_t high = (int64_t)larger(smaller(ceil(((double)width + 1.0 - first) / step), (double)c), 0.0);
         for (int64_t n = low; filled && n < high; n++) {
-            double place = first + step * (double)n, below = floor(place);
+            double column = first + step * (double)n, below = floor(column);
             data->cells[n] = (int32_t)larger(smaller(below, (double)width), -2.0);
-            cubic_weights(place - below, weights + n, c);
+            cubic_weights(column - below, weights + n, c);
         }
         for (int64_t row = 0; row < b; row++) {
             float *running = data->running + row * c, *to = out ? out + row * c : NULL;
@@ -136,7 +136,7 @@ int64_t NAMED(fill_lamp_columns, VARIANT)(const LampSlices *data) {
             if (!filled || !row_at(&plane, across + apart * (double)row, line)) continue;
             columns_of(line, data->cells, weights, c, low, high, density);
             for (int64_t n = low; n < high && to; n++) to[n] += before * density[n];
-            for (int64_t n = low; n < high; n++) running[n] += whole * density[n];
+            for (int64_t n = low; n < high; n++) running[n] += both * density[n];
         }
     }
     return data->planes;
@@ -150,47 +150,46 @@ int64_t NAMED(lamp_depths, VARIANT)(const LampDepths *data) {
             const float *from = data->index + axis * data->points + point;
             FOR_LANES(n) index[axis][n] = from[n < used ? n : used - 1];
         }
-        Floats found = lamp_depth(data->columns, index, (float)data->sigma_t);
-        for (int n = 0; n < used; n++) data->out[point + n] = found[n];
+        Floats depth = lamp_depth(data->columns, index, (float)data->sigma_t);
+        for (int n = 0; n < used; n++) data->out[point + n] = depth[n];
     }
     return data->points;
 }
 
-/* Add the light of one part of a lamp at places among the cells to what arrives, and to what would without anything in
-between. */
-static void add_light(const LampBeam *beam, int64_t part, const Floats *index, const Doubles *point, Floats *light,
+/* Add the fluence of emitter e at points to `light`, attenuated, and to `open`, unattenuated; index: in cells. */
+static void add_light(const LampBeam *beam, int64_t e, const Floats *index, const Doubles *point, Floats *light,
                       Floats *open) {
-    const Emitter *emitter = beam->emitters + part;
-    Floats found = softened(emitter_fluences(emitter, point), beam->radius);
-    *open += found;
-    for (int n = 0; n < LANES && beam->shadow_maps[part]; n++) {
+    const Emitter *emitter = beam->emitters + e;
+    Floats fluence = softened(emitter_fluences(emitter, point), beam->radius);
+    *open += fluence;
+    for (int n = 0; n < LANES && beam->shadow_maps[e]; n++) {
         double at[3] = {point[0][n], point[1][n], point[2][n]};
-        found[n] *= (float)lamp_visibility(beam->shadow_maps[part], at);
+        fluence[n] *= (float)lamp_visibility(beam->shadow_maps[e], at);
     }
-    *light += found * transmittance(lamp_depth(beam->columns[part], index, (float)beam->sigma));
+    *light += fluence * transmittance(lamp_depth(beam->columns[e], index, (float)beam->sigma));
 }
 
 int64_t NAMED(lamp_beam, VARIANT)(const LampBeam *beam) {
-    int64_t parts = beam->parts, samples = parts * parts * parts, all = beam->count * samples;
-    for (int64_t first = 0; first < all; first += LANES) {
-        int used = all - first < LANES ? (int)(all - first) : LANES;
+    int64_t edge = beam->parts, samples = edge * edge * edge, total = beam->count * samples;
+    for (int64_t first = 0; first < total; first += LANES) {
+        int used = total - first < LANES ? (int)(total - first) : LANES;
         Floats index[3], light = in_all(0.0f), open = in_all(0.0f);
-        Doubles place[3], point[3];
+        Doubles cells[3], point[3];
         FOR_LANES(k) {
             int64_t sample = first + (k < used ? k : used - 1), number = beam->numbers[sample / samples];
             int64_t row = number / beam->shape[2], inside = sample % samples;
             int64_t cell[3] = {row / beam->shape[1], row % beam->shape[1], number % beam->shape[2]};
             for (int axis = 2; axis >= 0; axis--) {
-                place[axis][k] = (double)cell[axis] + ((double)(inside % parts) + 0.5) / (double)parts - 0.5;
-                inside /= parts;
+                cells[axis][k] = (double)cell[axis] + ((double)(inside % edge) + 0.5) / (double)edge - 0.5;
+                inside /= edge;
             }
         }
         for (int i = 0; i < 3; i++) {
             const double *row = beam->world + 3 * i;
-            index[i] = __builtin_convertvector(place[i] - (double)beam->first[i], Floats);
-            point[i] = row[0] * place[0] + row[1] * place[1] + row[2] * place[2] + beam->offset[i];
+            index[i] = __builtin_convertvector(cells[i] - (double)beam->first[i], Floats);
+            point[i] = row[0] * cells[0] + row[1] * cells[1] + row[2] * cells[2] + beam->offset[i];
         }
-        for (int64_t part = 0; part < beam->lamp; part++) add_light(beam, part, index, point, &light, &open);
+        for (int64_t e = 0; e < beam->lamp; e++) add_light(beam, e, index, point, &light, &open);
         for (int k = 0; k < used; k++) {
             int64_t cell = (first + k) / samples;
             beam->light[cell] += light[k] / (float)samples;
@@ -208,9 +207,9 @@ int64_t NAMED(lamp_fluence, VARIANT)(const LampFluence *data) {
             const double *at = data->positions + 3 * least_int(first + n, data->points - 1);
             for (int k = 0; k < 3; k++) point[k][n] = at[k];
         }
-        for (int64_t part = 0; part < data->lamp; part++) {
-            fluence += emitter_fluences(data->emitters + part, point);
-            most += brightest_of(data->emitters + part, point);
+        for (int64_t e = 0; e < data->lamp; e++) {
+            fluence += emitter_fluences(data->emitters + e, point);
+            most += brightest_of(data->emitters + e, point);
         }
         for (int n = 0; n < LANES && first + n < data->points; n++) {
             data->fluence[first + n] = (double)fluence[n];

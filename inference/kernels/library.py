@@ -20,7 +20,7 @@ VARIANTS = ("baseline", "AVX2", "AVX-512")
 PACKAGE = "mrpnn_kernels"
 
 _loading = threading.Lock()
-#: What `load_kernels` found: the kernels, or why there are none.
+#: Result of `load_kernels`: the kernels, or why there are none.
 _kernels: "Kernels | Unavailable | None" = None
 
 
@@ -46,7 +46,7 @@ class Kernels:
 
     @property
     def name(self) -> str:
-        """Of the kind of processors."""
+        """Name of the kind of processors."""
         return VARIANTS[self.variant]
 
     def close(self) -> None:
@@ -89,7 +89,7 @@ class Kernels:
         return self._loaded().mrpnn_scratch_bytes(scene, max_count)
 
     def march(self, scene: structures.Shared, rays: structures.Shared, gathered: structures.Shared) -> int:
-        """March rays without Python's lock; returns how many of them, fewer than asked for if they were to stop."""
+        """March rays without Python's lock; returns how many were marched, fewer than given if `stop` was set."""
         return self._loaded().mrpnn_march(self.variant, scene, rays, gathered)
 
     def call(self, name: str, data: structures.Shared) -> int:
@@ -110,10 +110,10 @@ def load_kernels() -> Kernels:
     with _loading:
         if _kernels is None:
             _kernels = _load()
-        found = _kernels
-    if isinstance(found, Unavailable):
-        raise found
-    return found
+        kernels = _kernels
+    if isinstance(kernels, Unavailable):
+        raise kernels
+    return kernels
 
 
 def call(name: str, **fields: Any) -> int:
@@ -131,7 +131,7 @@ def _load() -> Kernels | Unavailable:
 
 
 def unload_kernels() -> None:
-    """Close what `load_kernels` loaded, which looks for the library again when it is called. No call may be running."""
+    """Close the library; `load_kernels` then looks for it again. No call may be running."""
     global _kernels
     with _loading:
         if isinstance(_kernels, Kernels):
@@ -172,7 +172,7 @@ _REINSTALL = "Uninstall MRPNN Volumes, restart Blender, and install the zip for 
 
 
 def _remedy(number: int) -> str:
-    """What helps against a library of another interface."""
+    """What to do about a library of another interface."""
     if build.sources():
         return "Run python -m inference.kernels"
     # All extensions share one folder of packages, where the highest version wins.

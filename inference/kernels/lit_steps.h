@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Light of suns in the steps of a ray: optical depths towards it, what is transmitted, and single scattering. */
+/* Light of suns in the steps of a ray: optical depths towards suns, transmittance, and single scattering. */
 
 #ifndef MRPNN_LIT_STEPS_H
 #define MRPNN_LIT_STEPS_H
@@ -17,16 +17,16 @@ static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
         for (int64_t c = 0; c < scene->scattering; c++) {
             float *scattering = work->scattering + (c * scene->volumes + v) * stride;
             for (int64_t b = 0; b < work->blocks; b++) {
-                const float *here = sigma + STEPS * b;
-                float *found = scattering + STEPS * b;
+                const float *extinction = sigma + STEPS * b;
+                float *out = scattering + STEPS * b;
                 double place = work->place[b], size = work->size[b];
                 int filled = 0;
-                for (int k = 0; k < STEPS; k++) found[k] = 0.0f, filled |= here[k] > 0.0f;
+                for (int k = 0; k < STEPS; k++) out[k] = 0.0f, filled |= extinction[k] > 0.0f;
                 if (!filled) continue;
                 Floats samples = sample_block(medium->scattering + c, work->lines + v, place, size);
                 Steps scattered = step_means(samples, ray, place, size) * (float)medium->sigma_t;
                 /* Interpolation in single precision may leave a little where there is no density. */
-                for (int k = 0; k < STEPS; k++) found[k] = scattered[k] < here[k] ? scattered[k] : here[k];
+                for (int k = 0; k < STEPS; k++) out[k] = scattered[k] < extinction[k] ? scattered[k] : extinction[k];
             }
         }
     }
@@ -39,7 +39,7 @@ static inline const float *scattering_of(const Scene *scene, const Work *work, i
     return scene->media[v].varies ? work->scattering + (c * scene->volumes + v) * stride : work->sigma + v * stride;
 }
 
-/* A place within a step. */
+/* Position on the ray of a point within a step. */
 static inline double place_in(const Work *work, int64_t step, double inside) {
     int64_t block = step / STEPS;
     return work->place[block] + ((double)(step % STEPS) + inside) * work->size[block];
@@ -79,10 +79,10 @@ static int64_t list_edges(Work *work) {
     return edges;
 }
 
-/* Store what was found at some edges where steps start and end. */
-static inline void store_at_edges(const Work *work, int64_t edge, int used, Floats found, float *start, float *end) {
+/* Store depths at edges with the steps that start and end there. */
+static inline void store_at_edges(const Work *work, int64_t edge, int used, Floats depths, float *start, float *end) {
     float values[LANES];
-    memcpy(values, &found, sizeof values);
+    memcpy(values, &depths, sizeof values);
     for (int n = 0; n < used; n++) {
         int32_t from = work->edge_from[edge + n], to = work->edge_to[edge + n];
         if (from >= 0) start[from] = values[n];
@@ -92,18 +92,18 @@ static inline void store_at_edges(const Work *work, int64_t edge, int used, Floa
 
 /* Optical depths of each group and of all volumes towards one light, at the ends of filled steps.
 
-l: number of the sun. columns: (volumes), around a part of a lamp, or NULL for the sun. */
+l: number of the sun. columns: (volumes), around an emitter, or NULL for the sun. */
 static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
     int64_t stride = work->stride, steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
-    int one = scene->groups == 1, outside = scene->volumes > 1 || scene->at_start;
-    for (int64_t s = 0; s < steps && !one; s++) work->whole_start[s] = work->whole_end[s] = dark;
+    int single_group = scene->groups == 1, outside = scene->volumes > 1 || scene->at_start;
+    for (int64_t s = 0; s < steps && !single_group; s++) work->whole_start[s] = work->whole_end[s] = dark;
     for (int64_t g = 0; g < scene->groups; g++) {
         for (int64_t s = 0; s < steps; s++) work->start[g * stride + s] = work->end[g * stride + s] = dark;
     }
     for (int64_t e = 0; e < edges; e += LANES) {
         double place[LANES];
-        Floats depth, whole = in_all(0.0f);
+        Floats depth, total = in_all(0.0f);
         /* The last edge again where there are no more. */
         FOR_LANES(n) {
             int64_t edge = e + n < edges ? e + n : edges - 1;
@@ -128,22 +128,22 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                                : sun_depth(&medium->density, sun, extinction, position, depth);
             }
             store_at_edges(work, e, used, sum, work->start + g * stride, work->end + g * stride);
-            whole += sum;
+            total += sum;
         }
-        if (!one) store_at_edges(work, e, used, whole, work->whole_start, work->whole_end);
+        if (!single_group) store_at_edges(work, e, used, total, work->whole_start, work->whole_end);
     }
 }
 
-/* What is transmitted to the starts of blocks, and of steps, and what of it is lost in them, in `light`. */
+/* Transmittance to the starts of blocks and of steps, and how much of it steps take, in `light`. */
 static void transmit(Work *work) {
     for (int64_t b = 0; b < work->blocks; b += LANES) {
-        Floats rounded, rest;
+        Floats rounded, rounding;
         FOR_LANES(n) {
             double before = work->before[b + n < work->blocks ? b + n : work->blocks];
             rounded[n] = (float)before;
-            rest[n] = (float)(before - (double)rounded[n]);
+            rounding[n] = (float)(before - (double)rounded[n]);
         }
-        store(work->far + b, transmittance(rounded) * (1.0f - rest));
+        store(work->far + b, transmittance(rounded) * (1.0f - rounding));
     }
     for (int64_t s = 0; s < STEPS * work->blocks; s += LANES) {
         Floats far, tau = load(work->tau + s), lost;
@@ -157,13 +157,13 @@ static void transmit(Work *work) {
 
 /* Sum of the products of two numbers of each step, (steps) each. */
 static inline double sum_of(const float *a, const float *b, const Work *work) {
-    double whole = 0.0;
+    double total = 0.0;
     for (int64_t s = 0; s < STEPS * work->blocks; s += STEPS) {
         float sum = 0.0f;
         for (int k = 0; k < STEPS; k++) sum += a[s + k] * b[s + k];
-        whole += (double)sum;
+        total += (double)sum;
     }
-    return whole;
+    return total;
 }
 
 /* Single scattering of one sun: the integral over each step of sigma exp(-tau to the camera - tau to the sun). */
@@ -172,8 +172,8 @@ static void add_single(const Scene *scene, int64_t l, Work *work, double *single
     float *light = work->light;
     for (int64_t s = 0; s < steps; s += LANES) {
         Floats start = load(work->whole_start + s), end = load(work->whole_end + s) + load(work->tau + s);
-        Floats found = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
-        store(light + s, scene->shadow_maps ? found * load(work->visible + s) : found);
+        Floats scattered = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
+        store(light + s, scene->shadow_maps ? scattered * load(work->visible + s) : scattered);
     }
     for (int64_t n = 0; n < scene->volumes * scene->scattering; n++) {
         int64_t v = n / scene->scattering, c = n % scene->scattering;
@@ -204,7 +204,7 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
     }
     for (int64_t s = from / LANES * LANES; s < steps; s += LANES) {
         double middle[LANES];
-        Floats number, found;
+        Floats number, light_towards;
         Ints cell = {0};
         for (int k = 0; k < LANES / STEPS; k++) {
             int64_t block = least_int(s / STEPS + k, work->blocks - 1);
@@ -230,10 +230,10 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
             const float *at = light + 4 * (int64_t)cell[n];
             fluence_and_x[n] = pair_at(at), y_and_z[n] = pair_at(at + 2);
         }
-        found = first_of(fluence_and_x) + weight[0] * second_of(fluence_and_x);
-        found = found + weight[1] * first_of(y_and_z) + weight[2] * second_of(y_and_z);
-        Ints filled = (load(tau + s) > 0.0f) & (found > 0.0f);
-        store(work->source + s, choose(filled, found * scale, in_all(0.0f)));
+        light_towards = first_of(fluence_and_x) + weight[0] * second_of(fluence_and_x);
+        light_towards = light_towards + weight[1] * first_of(y_and_z) + weight[2] * second_of(y_and_z);
+        Ints filled = (load(tau + s) > 0.0f) & (light_towards > 0.0f);
+        store(work->source + s, choose(filled, light_towards * scale, in_all(0.0f)));
     }
 }
 

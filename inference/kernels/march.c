@@ -39,8 +39,8 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
 
 /* Divide the scratch memory; without memory, only count its bytes. */
 static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work *work) {
-    /* Coarse blocks, and what cutting adds: at each level at most some 30 blocks are cut before the steps that are
-    allowed grow past any optical depth. An even number, whose steps are whole lanes. */
+    /* Coarse blocks, and those that cutting adds: at each level at most about 30 blocks are cut before the limit of
+    steps grows past any optical depth. An even number, whose steps are whole lanes. */
     int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS) + 40 * 2 * MOST_PARTS * LEVELS;
     int64_t steps = STEPS * (blocks + AHEAD);
     int64_t volumes = scene->volumes, groups = scene->groups;
@@ -70,14 +70,14 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(group_tau, float, groups * steps)
     TAKE(mean_start, float, scene->lamps ? groups * steps : 0)
     TAKE(mean_end, float, scene->lamps ? groups * steps : 0)
-    TAKE(given, float, scene->lamps ? steps : 0)
+    TAKE(fluence, float, scene->lamps ? steps : 0)
     TAKE(reference, float, scene->lamps ? steps : 0)
     TAKE(lit, float, scene->lamps ? steps : 0)
     TAKE(received, float, scene->lamps ? steps : 0)
     TAKE(node_place, double, scene->lamps ? steps : 0)
     TAKE(first_node, int32_t, scene->lamps ? blocks : 0)
     TAKE(node_light, float, scene->lamps ? volumes * steps : 0)
-    TAKE(node_given, float, scene->lamps ? steps : 0)
+    TAKE(node_fluence, float, scene->lamps ? steps : 0)
     TAKE(node_reference, float, scene->lamps ? steps : 0)
     TAKE(light, float, steps)
     TAKE(edge_place, double, 5 * blocks)
@@ -106,7 +106,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     }
     fill_blocks(scene, &ray, scene->behind, 0, work);
     out->blocks += work->looked_at;
-    /* What is looked up where there is density, is at the start anyway. */
+    /* Light is looked up only where there is density; at the start it is wanted anyway. */
     if (scene->at_start && !(work->total[0] > 0.0f)) work->total[0] = 1e-30f;
     sample_scattering(scene, &ray, work);
 
@@ -115,7 +115,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     for (int64_t b = 0; b < work->blocks; b++) {
         float sum = 0.0f;
         for (int k = 0; k < STEPS; k++) {
-            /* The middle of a step stands for the mean distance within it. */
+            /* The middle of a step approximates the mean distance within it. */
             sum += work->light[STEPS * b + k] * (float)place_in(work, STEPS * b + k, 0.5);
         }
         reached += (double)sum;
@@ -155,13 +155,13 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     out->samples += count;
 }
 
-/* Bytes of scratch memory for rays of at most so many steps. */
+/* Bytes of scratch memory for rays of at most max_count steps. */
 int64_t NAMED(scratch_bytes, VARIANT)(const Scene *scene, int64_t max_count) {
     Work work;
     return divide(scene, max_count < 1 ? 1 : max_count, NULL, &work);
 }
 
-/* March rays; returns how many of them, fewer than asked for if they were to stop. */
+/* March rays; returns how many were marched, fewer than given if `stop` was set. */
 int64_t NAMED(march, VARIANT)(const Scene *scene, const Rays *rays, Gathered *out) {
     Work work;
     divide(scene, rays->max_count < 1 ? 1 : rays->max_count, rays->scratch, &work);

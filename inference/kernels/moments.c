@@ -24,7 +24,7 @@ static Quad quad(const float *from) {
     return values;
 }
 
-/* The whole numbers that are nearest to some in [0, last]; 0 for what is no number. */
+/* The nearest whole numbers in [0, last]; 0 for NaN. */
 static QuadOfInts nearest(Quad x, float last) {
     Quad zero = {0.0f}, most = zero + last;
     QuadOfInts above = x > zero;
@@ -35,16 +35,16 @@ static QuadOfInts nearest(Quad x, float last) {
 
 /* Light of a cell's lobes that scatters along the directions. */
 static Quad scattered(const MomentSweep *data, const float *lobes, const Quad *along) {
-    Quad found = {0.0f};
+    Quad radiance = {0.0f};
     float last = (float)(data->columns - 1);
     for (int64_t l = 0; l < data->lobes; l++, lobes += PARTS) {
         if (!(lobes[0] > 0.0f)) continue;
         Quad cosine = lobes[1] * along[0] + lobes[2] * along[1] + lobes[3] * along[2];
         QuadOfInts column = nearest((cosine + 1.0f) * (0.5f * last), last);
         const float *row = data->table + nearest((Quad){lobes[4]}, (float)(data->rows - 1))[0] * data->columns;
-        for (int n = 0; n < WAYS; n++) found[n] += lobes[0] * row[column[n]];
+        for (int n = 0; n < WAYS; n++) radiance[n] += lobes[0] * row[column[n]];
     }
-    return found;
+    return radiance;
 }
 
 int64_t NAMED(sweep_moments, VARIANT)(const MomentSweep *data) {
@@ -58,9 +58,9 @@ int64_t NAMED(sweep_moments, VARIANT)(const MomentSweep *data) {
             for (int64_t c = 0; c < columns; c++) {
                 int64_t cell = data->first + k * data->strides[0] + i * data->strides[1] + c * data->strides[2];
                 /* Light of the previous slice, with a row and a column of zeros before the first. */
-                const float *here = before + (i + 1) * row + WAYS * (c + 1), *last = here - row;
-                Quad ahead = quad(here) * (1.0f - f) + quad(last) * f;
-                Quad behind = quad(here - WAYS) * (1.0f - f) + quad(last - WAYS) * f;
+                const float *own = before + (i + 1) * row + WAYS * (c + 1), *last = own - row;
+                Quad ahead = quad(own) * (1.0f - f) + quad(last) * f;
+                Quad behind = quad(own - WAYS) * (1.0f - f) + quad(last - WAYS) * f;
                 Quad moved = ahead * (1.0f - g) + behind * g;
                 Quad leaving = moved, inside = moved;
                 if (data->kinds[cell] == FILLED) {

@@ -8,10 +8,10 @@ them. */
 #include "random.h"
 #include "variants.h"
 
-/* Of a sequence of low discrepancy in two dimensions (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences",
-2018), which the first directions of a ray's paths follow. */
-#define SPREAD_X 0.7548776662466927
-#define SPREAD_Y 0.5698402909980532
+/* Steps of a sequence of low discrepancy in two dimensions (Roberts, "The Unreasonable Effectiveness of Quasirandom
+Sequences", 2018), which the first directions of a ray's paths follow. */
+#define PLASTIC_X 0.7548776662466927
+#define PLASTIC_Y 0.5698402909980532
 
 /* Fate of a path. */
 enum { MISSED, LEFT, GIVEN_UP };
@@ -40,13 +40,13 @@ static float voxel(const Grid *grid, const int64_t *index) {
 }
 
 /* One of the eight voxels around a continuous index, chosen with its weight in the interpolation. */
-static void voxel_around(const double *index, uint64_t *state, int64_t *found) {
+static void voxel_around(const double *index, uint64_t *state, int64_t *voxel) {
     uint64_t bits = draw_bits(state);
     for (int k = 0; k < 3; k++) {
         double moved = index[k] + (double)(bits & 0x1FFFFF) * 0x1p-21;
         /* Within the support, but for rounding. */
         moved = moved > -2.0 ? moved < 1e9 ? moved : 1e9 : -2.0;
-        found[k] = (int64_t)floor(moved);
+        voxel[k] = (int64_t)floor(moved);
         bits >>= 21;
     }
 }
@@ -108,45 +108,45 @@ static double fly(const Medium *medium, const Occupancy *cells, const Way *way, 
     return to;
 }
 
-/* Fly on; returns the number of the volume in which the path collides, or -1. The way's place moves there. */
+/* Fly on; returns the number of the volume in which the path collides, or -1, and moves the path there. */
 static int64_t collide(const LightPaths *data, Way *way, double from, double to, Steps *steps, int64_t *hit) {
-    int64_t found = -1, there[3];
+    int64_t nearest = -1, voxel[3];
     for (int64_t v = 0; v < data->volumes; v++) {
-        double distance = fly(data->media + v, data->majorants + v, way, from, to, steps, there);
+        double distance = fly(data->media + v, data->majorants + v, way, from, to, steps, voxel);
         if (!(distance < to)) continue;
-        to = distance, found = v;
-        for (int k = 0; k < 3; k++) hit[k] = there[k];
+        to = distance, nearest = v;
+        for (int k = 0; k < 3; k++) hit[k] = voxel[k];
     }
-    if (found >= 0) {
+    if (nearest >= 0) {
         for (int k = 0; k < 3; k++) way->place[k] += to * way->along[k];
     }
-    return found;
+    return nearest;
 }
 
-/* What a path keeps of its light in a collision; returns the largest of it. */
-static double attenuate(const LightPaths *data, int64_t volume, const int64_t *hit, float *kept) {
+/* Multiply a path's light by the albedo at a collision; returns its largest channel. */
+static double attenuate(const LightPaths *data, int64_t volume, const int64_t *hit, float *light) {
     const Medium *medium = data->media + volume;
     double most = 0.0;
     for (int64_t c = 0; c < data->channels; c++) {
         double albedo = data->albedos[volume * data->channels + c];
         if (medium->varies) albedo *= (double)voxel(medium->scattering + c, hit) / (double)voxel(&medium->density, hit);
-        kept[c] = (float)(kept[c] * albedo);
-        most = kept[c] > most ? kept[c] : most;
+        light[c] = (float)(light[c] * albedo);
+        most = light[c] > most ? light[c] : most;
     }
     return most;
 }
 
 /* Follow a path to its end, which is returned; numbers: of the first scattering. */
-static int follow(const LightPaths *data, int64_t ray, Steps *steps, double *numbers, float *kept, float *leaving) {
+static int follow(const LightPaths *data, int64_t ray, Steps *steps, double *numbers, float *light, float *leaving) {
     Way way;
     for (int k = 0; k < 3; k++) way.place[k] = data->origins[3 * ray + k], way.along[k] = data->directions[3 * ray + k];
     int64_t hit[3], volume = collide(data, &way, data->near_distance[ray], data->far_distance[ray], steps, hit);
-    for (int64_t c = 0; c < data->channels; c++) kept[c] = volume < 0 ? 0.0f : 1.0f;
+    for (int64_t c = 0; c < data->channels; c++) light[c] = volume < 0 ? 0.0f : 1.0f;
     if (volume < 0) return MISSED;
     for (int64_t n = 0; n < data->collisions; n++) {
-        double most = attenuate(data, volume, hit, kept);
+        double most = attenuate(data, volume, hit, light);
         if (!(most > data->negligible)) {
-            for (int64_t c = 0; c < data->channels; c++) kept[c] = 0.0f;
+            for (int64_t c = 0; c < data->channels; c++) light[c] = 0.0f;
             return LEFT;
         }
         if (n > 0) numbers[0] = draw(&steps->state), numbers[1] = draw(&steps->state);
@@ -166,7 +166,7 @@ int64_t NAMED(trace_paths, VARIANT)(const LightPaths *data) {
         for (int64_t n = 0; n < data->paths; n++) {
             int64_t path = ray * data->paths + n;
             Steps steps = {seeded(number * (uint64_t)data->paths + (uint64_t)n), data->steps};
-            double numbers[2] = {shift[0] + (double)n * SPREAD_X, shift[1] + (double)n * SPREAD_Y};
+            double numbers[2] = {shift[0] + (double)n * PLASTIC_X, shift[1] + (double)n * PLASTIC_Y};
             for (int k = 0; k < 2; k++) numbers[k] -= floor(numbers[k]);
             float *leaving = data->leaving + 3 * path;
             for (int k = 0; k < 3; k++) leaving[k] = 0.0f;

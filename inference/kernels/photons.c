@@ -17,9 +17,9 @@ static int scatter(const PeakPhotons *data, uint64_t *state, double *along) {
     double g = data->anisotropy, reduced = data->reduced;
     double u = draw(state), angle = 6.283185307179586 * draw(state);
     double cosine = scattering_cosine(g, u);
-    double whole = (1.0 - g * g) / power_of_three_halves(1.0 + g * g - 2.0 * g * cosine);
+    double total = (1.0 - g * g) / power_of_three_halves(1.0 + g * g - 2.0 * g * cosine);
     double wide = data->wide * (1.0 - reduced * reduced) / power_of_three_halves(1.0 + reduced * reduced - 2.0 * reduced * cosine);
-    if (draw(state) * whole < wide) return 0;
+    if (draw(state) * total < wide) return 0;
     turn(cosine, angle, along);
     return 1;
 }
@@ -35,37 +35,37 @@ static void into_cone(const PeakPhotons *data, double *along) {
 }
 
 /* Fly to the next collision; returns whether there is one. */
-static int fly(const PeakPhotons *data, double left, const double *along, double *place, int64_t *cell, double weight) {
+static int fly(const PeakPhotons *data, double left, const double *along, double *point, int64_t *cell, double weight) {
     const int64_t *shape = data->shape, strides[3] = {shape[1] * shape[2], shape[2], 1};
     int64_t cells = shape[0] * strides[0], up[3], at = 0, axis = -1;
-    double inverse[3], turned[3], x[3], way, rate;
+    double inverse[3], turned[3], x[3], distance, rate;
     for (int k = 0; k < 3; k++) {
-        up[k] = along[k] > 0.0, turned[k] = along[k], x[k] = place[k], at += cell[k] * strides[k];
+        up[k] = along[k] > 0.0, turned[k] = along[k], x[k] = point[k], at += cell[k] * strides[k];
         inverse[k] = fabs(along[k]) > 1e-12 ? 1.0 / along[k] : 0.0;
     }
     for (;;) {
-        way = INFINITY, axis = -1, rate = data->depth[at];
+        distance = INFINITY, axis = -1, rate = data->depth[at];
         for (int k = 0; k < 3; k++) {
             double to = ((double)(cell[k] + up[k]) - x[k]) * inverse[k];
-            if (inverse[k] != 0.0 && to < way) way = to, axis = k;
+            if (inverse[k] != 0.0 && to < distance) distance = to, axis = k;
         }
         if (axis < 0) return 0;
-        way = way > 0.0 ? way : 0.0;
-        int collides = rate * way >= left;
-        if (collides) way = left / rate;
-        double added = weight * way;
+        distance = distance > 0.0 ? distance : 0.0;
+        int collides = rate * distance >= left;
+        if (collides) distance = left / rate;
+        double added = weight * distance;
         float *sums = data->sums + SUMS * at;
         sums[0] += (float)added;
-        for (int k = 0; k < 3; k++) sums[1 + k] += (float)(added * turned[k]), x[k] += turned[k] * way;
+        for (int k = 0; k < 3; k++) sums[1 + k] += (float)(added * turned[k]), x[k] += turned[k] * distance;
         sums[4] += (float)(added * added);
         if (collides) break;
-        left -= rate * way;
+        left -= rate * distance;
         int64_t lower = up[axis] ? at : at - strides[axis];
         if (data->closed && (up[axis] || cell[axis] > 0) && data->closed[axis * cells + lower]) return 0;
         cell[axis] += up[axis] ? 1 : -1, at += up[axis] ? strides[axis] : -strides[axis];
         if (cell[axis] < 0 || cell[axis] >= shape[axis]) return 0;
     }
-    for (int k = 0; k < 3; k++) place[k] = x[k];
+    for (int k = 0; k < 3; k++) point[k] = x[k];
     return 1;
 }
 
@@ -74,9 +74,9 @@ int64_t NAMED(follow_peak, VARIANT)(const PeakPhotons *data) {
     for (int64_t n = 0; n < data->photons; n++) {
         uint64_t state = seeded((uint64_t)data->numbers[n]);
         int64_t start = data->starts[n], cell[3] = {start / (shape[1] * shape[2]), start / shape[2] % shape[1], start % shape[2]};
-        double place[3], along[3], square = 0.0, weight = 1.0;
+        double point[3], along[3], square = 0.0, weight = 1.0;
         for (int k = 0; k < 3; k++) {
-            place[k] = (double)cell[k] + draw(&state), along[k] = place[k] - data->lamp[k];
+            point[k] = (double)cell[k] + draw(&state), along[k] = point[k] - data->lamp[k];
             square += along[k] * along[k];
         }
         double length = sqrt(square) > 1e-30 ? sqrt(square) : 1e-30;
@@ -84,7 +84,7 @@ int64_t NAMED(follow_peak, VARIANT)(const PeakPhotons *data) {
         into_cone(data, along);
         for (int64_t c = 0; c < data->collisions && scatter(data, &state, along); c++) {
             double left = -log(1.0 - draw(&state));
-            if (!fly(data, left, along, place, cell, weight)) break;
+            if (!fly(data, left, along, point, cell, weight)) break;
             weight *= data->albedo;
         }
     }

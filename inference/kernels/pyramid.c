@@ -68,12 +68,12 @@ int64_t NAMED(mean_cells, VARIANT)(const CellMeans *means) {
         const float *weights = means->weights[0] + x * width;
         int empty = 1;
         for (int64_t n = 0; n < width; n++) {
-            int64_t number = means->firsts[0][x] + n, place = number % width;
+            int64_t number = means->firsts[0][x] + n, slot = number % width;
             if (weights[n] == 0.0f) continue;
             empty = 0;
-            if (means->held[place] != number) {
-                average_plane(means, number, means->scratch + place * cells * cells);
-                means->held[place] = number;
+            if (means->held[slot] != number) {
+                average_plane(means, number, means->scratch + slot * cells * cells);
+                means->held[slot] = number;
             }
         }
         if (empty) continue;
@@ -113,10 +113,10 @@ static inline float lerp(float low, float high, float fraction) { return (high -
 static void attenuate(float scale, int64_t count, float *values) {
     for (int64_t k = 0; k < count; k += LANES) {
         size_t bytes = (size_t)(count - k < LANES ? count - k : LANES) * sizeof *values;
-        Floats some = in_all(0.0f);
-        memcpy(&some, values + k, bytes);
-        some = transmittance(scale * some);
-        memcpy(values + k, &some, bytes);
+        Floats lanes = in_all(0.0f);
+        memcpy(&lanes, values + k, bytes);
+        lanes = transmittance(scale * lanes);
+        memcpy(values + k, &lanes, bytes);
     }
 }
 
@@ -194,7 +194,7 @@ int64_t NAMED(fill_lattice, VARIANT)(const LatticePart *part) {
 
 int64_t NAMED(resample, VARIANT)(const Resampling *grid) {
     const double *linear = grid->linear;
-    float share = (float)grid->points;
+    float points = (float)grid->points;
     for (int64_t i = 0; i < grid->shape[0]; i++) {
         for (int64_t j = 0; j < grid->shape[1]; j++) {
             float *to = grid->out + i * grid->strides[0] + j * grid->strides[1];
@@ -207,7 +207,7 @@ int64_t NAMED(resample, VARIANT)(const Resampling *grid) {
                 }
                 for (int64_t first = 0; first < grid->points; first += LANES) {
                     Floats positions[3];
-                    Ints held;
+                    Ints near;
                     FOR_LANES(n) {
                         /* The last point again where there are no more. */
                         int64_t point = first + n < grid->points ? first + n : grid->points - 1;
@@ -216,14 +216,14 @@ int64_t NAMED(resample, VARIANT)(const Resampling *grid) {
                             position[axis] = (float)(centre[axis] + grid->places[3 * point + axis]);
                             positions[axis][n] = position[axis];
                         }
-                        held[n] = first + n < grid->points && may_hold(&grid->occupancy, position) ? -1 : 0;
+                        near[n] = first + n < grid->points && may_hold(&grid->occupancy, position) ? -1 : 0;
                     }
-                    if (!any_lane(held)) continue;
-                    Floats found = sample_grid(&grid->grid, positions), size = choose(found < 0.0f, -found, found);
+                    if (!any_lane(near)) continue;
+                    Floats values = sample_grid(&grid->grid, positions), size = choose(values < 0.0f, -values, values);
                     Floats power = in_all(1.0f);
                     for (int64_t times = 1; times < grid->power; times++) power *= size;
                     FOR_LANES(n) {
-                        if (held[n]) sum += found[n] * power[n] / share;
+                        if (near[n]) sum += values[n] * power[n] / points;
                     }
                 }
                 to[k * grid->strides[2]] = sum;

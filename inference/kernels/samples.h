@@ -16,7 +16,7 @@ static int64_t sample_count(const Scene *scene, double alpha) {
     return count < fewest ? fewest : count > most ? most : count;
 }
 
-/* Take a place in a step as a depth sample. */
+/* Add a depth sample within a step. */
 static void add_sample(const Scene *scene, const Ray *ray, int64_t s, double inside, int64_t n, Work *work, Gathered *out) {
     int64_t sample = out->samples + n;
     work->sample_step[n] = s;
@@ -32,7 +32,7 @@ static void add_sample(const Scene *scene, const Ray *ray, int64_t s, double ins
     }
 }
 
-/* A depth sample where a part of the ray's opacity is in front of it, behind those before. */
+/* Add depth sample n, ascending, with `opacity` in front of it. */
 static void place_sample(const Scene *scene, const Ray *ray, double opacity, int64_t n, Work *work, Gathered *out) {
     double wanted = -log1p(-(opacity < 1.0 - 1e-12 ? opacity : 1.0 - 1e-12));
     int64_t block = n ? work->sample_step[n - 1] / STEPS : 0;
@@ -51,8 +51,8 @@ static void place_sample(const Scene *scene, const Ray *ray, double opacity, int
     add_sample(scene, ray, STEPS * block + step, inside, n, work, out);
 }
 
-/* Depth samples at the Gauss-Legendre nodes of the ray's opacity, and in the middles of `detail` parts of each node's
-share but for the one that holds it; returns their number. */
+/* Add depth samples in `detail` strata of each Gauss-Legendre node's interval of opacity: at the node where a stratum
+holds it, else in the middle; returns their number. */
 static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, int64_t detail, Work *work, Gathered *out) {
     if (scene->at_start) {
         out->sample_weight[out->samples] = alpha;
@@ -64,13 +64,13 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, i
     const double *weights = scene->node_weights + count * scene->depth_samples;
     double begin = 0.0;
     for (int64_t n = 0; n < count; n++) {
-        double part = weights[n] / (double)detail;
+        double width = weights[n] / (double)detail;
         for (int64_t k = 0; k < detail; k++) {
-            double low = begin + (double)k * part;
-            int holds = (k == 0 || nodes[n] >= low) && (k + 1 == detail || nodes[n] < low + part);
-            double node = holds ? nodes[n] : low + 0.5 * part;
+            double low = begin + (double)k * width;
+            int holds = (k == 0 || nodes[n] >= low) && (k + 1 == detail || nodes[n] < low + width);
+            double node = holds ? nodes[n] : low + 0.5 * width;
             place_sample(scene, ray, node * alpha, n * detail + k, work, out);
-            out->sample_weight[out->samples + n * detail + k] = part * alpha;
+            out->sample_weight[out->samples + n * detail + k] = width * alpha;
         }
         begin += weights[n];
     }
@@ -94,11 +94,11 @@ static void sum_groups(const Scene *scene, Work *work) {
 /* One light of one group, at the steps and samples of a ray, as ray features see it. */
 typedef struct {
     const Fluence *fluence;
-    const float *visible;        /* (steps), what surfaces let through; or NULL */
-    const float *received;       /* (steps), its light without what lies in between; NULL: 1 */
-    const float *unit;           /* (samples), what its light is divided by; NULL: 1 */
+    const float *visible;        /* (steps), fraction that surfaces let through; or NULL */
+    const float *received;       /* (steps), its light without attenuation; NULL: 1 */
+    const float *unit;           /* (samples), divisor of its light; NULL: 1 */
     float *features;             /* of the first sample, */
-    int64_t stride;              /* and from one to the next */
+    int64_t stride;              /* and from each to the next */
 } Gathering;
 
 /* Ray features of one group and light at the samples of a ray: integrals of the light ahead, from the ray's end.
@@ -134,9 +134,9 @@ static void gather_features(const Scene *scene, int64_t g, const Gathering *of, 
             }
             values[0] = sun_tau;
             values[1] = least(tau_ahead + rest, (float)scene->max_tau_ahead);
-            Floats gone, kept = exp_minus(along_ray * rest, &gone), found = light * gone + kept * ahead;
-            if (of->unit) found = found / of->unit[n];
-            memcpy(values + 2, &found, INTEGRALS * sizeof *values);
+            Floats gone, through = exp_minus(along_ray * rest, &gone), sums = light * gone + through * ahead;
+            if (of->unit) sums = sums / of->unit[n];
+            memcpy(values + 2, &sums, INTEGRALS * sizeof *values);
         }
         ahead = light * lost + passed * ahead;
         tau_ahead += tau[s];

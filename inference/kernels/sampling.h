@@ -34,25 +34,25 @@ static inline int32_t floor_of(float x) {
 }
 
 /* pairs: along z, for (x, y), (x, y + 1), (x + 1, y) and (x + 1, y + 1). */
-static inline Floats trilinear(const Pairs *pairs, const Floats *part) {
-    Floats y0 = lerp_lanes(lerp_pairs(pairs[0], part[2]), lerp_pairs(pairs[1], part[2]), part[1]);
-    Floats y1 = lerp_lanes(lerp_pairs(pairs[2], part[2]), lerp_pairs(pairs[3], part[2]), part[1]);
-    return lerp_lanes(y0, y1, part[0]);
+static inline Floats trilinear(const Pairs *pairs, const Floats *fraction) {
+    Floats y0 = lerp_lanes(lerp_pairs(pairs[0], fraction[2]), lerp_pairs(pairs[1], fraction[2]), fraction[1]);
+    Floats y1 = lerp_lanes(lerp_pairs(pairs[2], fraction[2]), lerp_pairs(pairs[3], fraction[2]), fraction[1]);
+    return lerp_lanes(y0, y1, fraction[0]);
 }
 
-/* The voxels below positions in a dense grid, counted in its padding, and the places of positions after them. */
-static inline void voxels_below(const Grid *grid, const Floats *position, Ints *cell, Floats *part) {
+/* The voxels below positions in a dense grid, counted in its padding, and fractions of the way to the next voxels. */
+static inline void voxels_below(const Grid *grid, const Floats *position, Ints *cell, Floats *fraction) {
     for (int axis = 0; axis < 3; axis++) {
         Floats at = clamped_to(position[axis] + 1.0f, in_all(0.0f), in_all((float)(grid->size[axis] - 2)));
         cell[axis] = to_ints(at);
-        part[axis] = at - to_floats(cell[axis]);
+        fraction[axis] = at - to_floats(cell[axis]);
     }
 }
 
 static inline Floats sample_dense(const Grid *grid, const Floats *position) {
     Ints cell[3];
-    Floats part[3];
-    voxels_below(grid, position, cell, part);
+    Floats fraction[3];
+    voxels_below(grid, position, cell, fraction);
     /* Whole rows: their number fits into 32 bits, which that of voxels may not. */
     Ints row = cell[0] * (int32_t)grid->size[1] + cell[1];
     int64_t length = grid->size[2], slab = length * grid->size[1], first[LANES];
@@ -64,10 +64,10 @@ static inline Floats sample_dense(const Grid *grid, const Floats *position) {
         pairs[0][n] = pair_at(at), pairs[1][n] = pair_at(at + length);
         pairs[2][n] = pair_at(at + slab), pairs[3][n] = pair_at(at + slab + length);
     }
-    return trilinear(pairs, part);
+    return trilinear(pairs, fraction);
 }
 
-/* Values of a block; those of the empty block 0 for what no row can be. */
+/* Values of a block; those of the empty block 0 where the table holds no valid row. */
 static inline const float *block_values(const Grid *grid, int64_t block) {
     int32_t row = grid->table[block];
     return grid->values + ((uint64_t)(int64_t)row < (uint64_t)grid->rows ? (int64_t)row * 512 : 0);
@@ -96,20 +96,20 @@ static inline void pairs_in_blocks(const Grid *grid, int32_t x, int32_t y, int32
 
 static inline Floats sample_sparse(const Grid *grid, const Floats *position) {
     Ints cell[3];
-    Floats part[3];
+    Floats fraction[3];
     for (int axis = 0; axis < 3; axis++) {
         Floats at = clamped_to(position[axis], in_all(-1.0f), in_all((float)grid->shape[axis]));
         at = at + (float)grid->first[axis];
         cell[axis] = to_ints(at);
-        part[axis] = at - to_floats(cell[axis]);
+        fraction[axis] = at - to_floats(cell[axis]);
     }
-    double found[LANES][4];
-    FOR_LANES(n) pairs_in_blocks(grid, cell[0][n], cell[1][n], cell[2][n], found[n]);
+    double lanes[LANES][4];
+    FOR_LANES(n) pairs_in_blocks(grid, cell[0][n], cell[1][n], cell[2][n], lanes[n]);
     Pairs pairs[4];
     FOR_LANES(n) {
-        for (int k = 0; k < 4; k++) pairs[k][n] = found[n][k];
+        for (int k = 0; k < 4; k++) pairs[k][n] = lanes[n][k];
     }
-    return trilinear(pairs, part);
+    return trilinear(pairs, fraction);
 }
 
 /* Values at continuous indices. */
@@ -132,46 +132,46 @@ static inline Longs cells_around(const Occupancy *cells, const Floats *position)
     Longs base = {0};
     for (int axis = 0; axis < 3; axis++) {
         Floats cell = (position[axis] + (float)cells->first[axis]) * (float)cells->scale;
-        Ints whole = to_ints(clamped_to(cell, in_all(0.0f), in_all((float)(cells->size[axis] - 1))));
-        base = base * cells->size[axis] + to_longs(whole);
+        Ints nearest = to_ints(clamped_to(cell, in_all(0.0f), in_all((float)(cells->size[axis] - 1))));
+        base = base * cells->size[axis] + to_longs(nearest);
     }
     return base;
 }
 
-/* Whether the density may differ from 0 at any of some positions. */
+/* Whether the density may differ from 0 at any of the positions. */
 static inline int any_held(const Medium *medium, const Floats *position) {
     const Grid *grid = &medium->density;
     if (!medium->held) return 1;
     Ints cell[3];
-    Floats part[3];
-    voxels_below(grid, position, cell, part);
+    Floats fraction[3];
+    voxels_below(grid, position, cell, fraction);
     int64_t bytes = (grid->size[2] + 7) >> 3, first[LANES];
     Longs byte = to_longs(cell[0] * (int32_t)grid->size[1] + cell[1]) * bytes + to_longs(cell[2] >> 3);
     Ints bit = cell[2] & 7;
     memcpy(first, &byte, sizeof first);
-    int found = 0;
-    FOR_LANES(n) found |= medium->held[first[n]] >> bit[n];
-    return found & 1;
+    int bits = 0;
+    FOR_LANES(n) bits |= medium->held[first[n]] >> bit[n];
+    return bits & 1;
 }
 
 static inline int may_hold(const Occupancy *cells, const float *position) {
     return !cells->clearance[cell_around(cells, position)];
 }
 
-/* Depths of the four columns around points where their rays towards the sun meet slices, and the points among them.
+/* Depths of the four columns around points where their rays towards the sun meet slices, and fractions between them.
 
-place: in the padded grid. ahead: slices from there to the slice. number: of the slice. corners: pairs of columns. */
-static inline void columns_around(const SunColumns *sun, const Floats *place, Floats ahead, Ints number,
-                                  Pairs *corners, Floats *part) {
+position: in the padded grid. ahead: slices from there to the slice. number: of the slice. corners: pairs of columns. */
+static inline void columns_around(const SunColumns *sun, const Floats *position, Floats ahead, Ints number,
+                                  Pairs *corners, Floats *fraction) {
     Ints slice = ints_within(number + (int32_t)sun->first, (int32_t)(sun->slices - 1)), cell[2];
     Pairs offsets;
     FOR_LANES(n) offsets[n] = pair_at(sun->offsets + 2 * (int64_t)slice[n]);
     for (int k = 0; k < 2; k++) {
         int64_t axis = sun->others[k];
-        Floats at = ahead * (float)sun->move[axis] + place[axis] + (k ? second_of(offsets) : first_of(offsets));
+        Floats at = ahead * (float)sun->move[axis] + position[axis] + (k ? second_of(offsets) : first_of(offsets));
         at = clamped_to(at, in_all(0.0f), in_all((float)(sun->size[k] - 1)));
         cell[k] = ints_within(to_ints(at), (int32_t)(sun->size[k] - 2));
-        part[k] = at - to_floats(cell[k]);
+        fraction[k] = at - to_floats(cell[k]);
     }
     int64_t width = sun->size[1];
     if (!sun->table) {
@@ -186,29 +186,29 @@ static inline void columns_around(const SunColumns *sun, const Floats *place, Fl
     }
     FOR_LANES(n) {
         int64_t layer = (slice[n] >> 3) * (sun->size[0] >> 3);
-        float found[4];
+        float depths[4];
         for (int k = 0; k < 4; k++) {
             int32_t b = cell[0][n] + (k >> 1), c = cell[1][n] + (k & 1);
             int32_t entry = sun->table[(layer + (b >> 3)) * (width >> 3) + (c >> 3)];
             int64_t tile = (int64_t)(entry >> 1) + (entry & 1 ? slice[n] & 7 : 0);
             if ((uint64_t)tile >= (uint64_t)sun->tiles) tile = 0;
-            found[k] = sun->depths[tile * 64 + (b & 7) * 8 + (c & 7)];
+            depths[k] = sun->depths[tile * 64 + (b & 7) * 8 + (c & 7)];
         }
-        corners[0][n] = pair_at(found), corners[1][n] = pair_at(found + 2);
+        corners[0][n] = pair_at(depths), corners[1][n] = pair_at(depths + 2);
     }
 }
 
-static inline Floats depth_on_slice(const SunColumns *sun, const Floats *place, Floats ahead, Ints number) {
+static inline Floats depth_on_slice(const SunColumns *sun, const Floats *position, Floats ahead, Ints number) {
     Pairs corners[2];
-    Floats part[2];
-    columns_around(sun, place, ahead, number, corners, part);
-    return lerp_lanes(lerp_pairs(corners[0], part[1]), lerp_pairs(corners[1], part[1]), part[0]);
+    Floats fraction[2];
+    columns_around(sun, position, ahead, number, corners, fraction);
+    return lerp_lanes(lerp_pairs(corners[0], fraction[1]), lerp_pairs(corners[1], fraction[1]), fraction[0]);
 }
 
-static inline Floats lowest_on_slice(const SunColumns *sun, const Floats *place, Floats ahead, Ints number) {
+static inline Floats lowest_on_slice(const SunColumns *sun, const Floats *position, Floats ahead, Ints number) {
     Pairs corners[2];
-    Floats part[2];
-    columns_around(sun, place, ahead, number, corners, part);
+    Floats fraction[2];
+    columns_around(sun, position, ahead, number, corners, fraction);
     return least_of(least_of(first_of(corners[0]), second_of(corners[0])),
                     least_of(first_of(corners[1]), second_of(corners[1])));
 }
@@ -232,22 +232,22 @@ static inline Floats integral_to_slice(const Grid *grid, const SunColumns *sun, 
         Floats length = cuts[piece + 1] - cuts[piece];
         for (int node = 0; node < 2; node++) {
             /* The nodes of Gauss and Legendre in [0, 1]. */
-            float share = node ? 0.78867513459481287f : 0.21132486540518713f;
-            Floats place[3];
+            float node_position = node ? 0.78867513459481287f : 0.21132486540518713f;
+            Floats position[3];
             for (int axis = 0; axis < 3; axis++) {
-                place[axis] = start[axis] + (cuts[piece] + share * length) * (float)sun->move[axis] - 1.0f;
+                position[axis] = start[axis] + (cuts[piece] + node_position * length) * (float)sun->move[axis] - 1.0f;
             }
-            total = total + choose(length > 0.0f, sample_grid(grid, place) * length, in_all(0.0f));
+            total = total + choose(length > 0.0f, sample_grid(grid, position) * length, in_all(0.0f));
         }
     }
     return total * (0.5f * (float)sun->length);
 }
 
 /* Depths that integrate the first slices and take the columns from there on, where `wanted`. */
-static inline Floats integrated_depth(const Grid *grid, const SunColumns *sun, const Floats *place, Floats way,
+static inline Floats integrated_depth(const Grid *grid, const SunColumns *sun, const Floats *position, Floats way,
                                       Ints following, float extinction, Ints wanted) {
     float deepest = (float)sun->deepest;
-    Floats depth = in_all(0.0f), start[3] = {place[0], place[1], place[2]};
+    Floats depth = in_all(0.0f), start[3] = {position[0], position[1], position[2]};
     for (int64_t k = 0; k < sun->integrated; k++) {
         Floats gained = integral_to_slice(grid, sun, start, way) * extinction;
         depth = depth + choose(wanted, gained, in_all(0.0f));
@@ -272,22 +272,22 @@ camera_depth: optical depth between the points and the camera. */
 static inline Floats sun_depth(const Grid *density, const SunColumns *sun, float extinction, const Floats *position,
                                Floats camera_depth) {
     float deepest = (float)sun->deepest;
-    Floats place[3] = {position[0] + 1.0f, position[1] + 1.0f, position[2] + 1.0f}, depth;
-    Floats along = clamped_to(place[sun->main], in_all(-FAR_AWAY), in_all(FAR_AWAY));
+    Floats padded[3] = {position[0] + 1.0f, position[1] + 1.0f, position[2] + 1.0f}, depth;
+    Floats along = clamped_to(padded[sun->main], in_all(-FAR_AWAY), in_all(FAR_AWAY));
     Ints below = floors(along), following = below + (sun->step > 0), wanted;
     Floats ahead = sun->step > 0 ? to_floats(below) + 1.0f - along : along - to_floats(below);
     if (!sun->everywhere) {
-        Floats after = depth_on_slice(sun, place, ahead, following);
-        Floats before = depth_on_slice(sun, place, ahead - 1.0f, following - (int32_t)sun->step);
+        Floats after = depth_on_slice(sun, padded, ahead, following);
+        Floats before = depth_on_slice(sun, padded, ahead - 1.0f, following - (int32_t)sun->step);
         depth = lerp_lanes(after, before, ahead) * extinction;
         wanted = (depth > 0.0f) & (depth + camera_depth < (float)sun->visible);
     } else {
         int32_t last = (int32_t)sun->integrated - 1;
-        depth = lowest_on_slice(sun, place, ahead + (float)last, following + (int32_t)sun->step * last) * extinction;
+        depth = lowest_on_slice(sun, padded, ahead + (float)last, following + (int32_t)sun->step * last) * extinction;
         wanted = depth < deepest;
     }
     if (!sun->integrated || !any_lane(wanted)) return depth;
-    return choose(wanted, integrated_depth(density, sun, place, ahead, following, extinction, wanted), depth);
+    return choose(wanted, integrated_depth(density, sun, padded, ahead, following, extinction, wanted), depth);
 }
 
 /* As sun_depth, for points that may lie outside the support: moved towards the sun onto it, 0 where the ray misses. */
@@ -315,13 +315,13 @@ static inline Floats sun_depth_outside(const Grid *density, const SunColumns *su
 static inline float visibility_of(const ShadowMap *map, const float *position) {
     float column = clamped(position[0], -FAR_AWAY, FAR_AWAY), row = clamped(position[1], -FAR_AWAY, FAR_AWAY);
     int32_t left = floor_of(column), low = floor_of(row);
-    float right_part = column - (float)left, up_part = row - (float)low, share = 0.0f;
+    float right_part = column - (float)left, up_part = row - (float)low, visibility = 0.0f;
     for (int n = 0; n < 4; n++) {
         int64_t i = within((int64_t)left + (n >> 1), map->columns - 1), j = within((int64_t)low + (n & 1), map->rows - 1);
         float weight = (n >> 1 ? right_part : 1.0f - right_part) * (n & 1 ? up_part : 1.0f - up_part);
-        if (position[2] >= map->heights[j * map->columns + i]) share += weight;
+        if (position[2] >= map->heights[j * map->columns + i]) visibility += weight;
     }
-    return share;
+    return visibility;
 }
 
 #endif

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* A camera ray cut into steps, which come in blocks of equal steps: blocks that hold no density are passed over, dense
-ones are cut into smaller ones. What remains of a ray are arrays over its steps. Places on a ray are counted in its
-coarse steps. */
+/* A camera ray cut into steps, which come in blocks of equal steps: blocks without density are skipped, dense blocks
+are cut into smaller blocks. The result are arrays over the steps of a ray. A place on a ray is a number of its coarse
+steps. */
 
 #ifndef MRPNN_STEPS_H
 #define MRPNN_STEPS_H
@@ -21,8 +21,8 @@ coarse steps. */
 #define LEVELS 7
 #define MOST_PARTS 8
 
-/* Coarse blocks that are sampled together, before it is known whether the ray ends in front of them: processors compute
-side by side what does not depend on each other. An even number. */
+/* Coarse blocks that are sampled together, for instruction-level parallelism, even if the ray ends in front of some. An
+even number. */
 #define AHEAD 8
 
 /* One number per step of a block. */
@@ -60,14 +60,14 @@ typedef struct {
     float *whole_start, *whole_end;  /* (steps), of all volumes; those of the group if there is one alone */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
-    float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the parts of a lamp */
-    float *given, *reference;    /* (steps), fluence of a lamp, and what stands for it in ray features */
-    float *lit, *received;       /* (steps), what of it surfaces let through, and what it is on a coarse scale */
-    int64_t nodes;               /* ends of blocks; one that two blocks share counts once */
+    float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the emitters of a lamp */
+    float *fluence, *reference;  /* (steps), unattenuated, of a lamp, and reference_of it for ray features */
+    float *lit, *received;       /* (steps), fraction of it that surfaces let through, and fluence on a coarse scale */
+    int64_t nodes;               /* ends of blocks; the end that two blocks share counts once */
     double *node_place;          /* (steps; at most twice as many as blocks), where they are on the ray */
-    int32_t *first_node;         /* (blocks), at the start of each block, which the one at its end follows */
+    int32_t *first_node;         /* (blocks), at the start of each block; the node at its end is the next */
     float *node_light;           /* (volumes, steps), light of a lamp that each volume scatters towards the camera */
-    float *node_given, *node_reference;  /* (steps), as `given` and `reference` */
+    float *node_fluence, *node_reference;  /* (steps), as `fluence` and `reference` */
     float *group_tau;            /* (groups, steps) */
     float *light;                /* (steps) */
     double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
@@ -108,7 +108,7 @@ static inline void position_at(const Line *line, double place, float *position) 
     for (int axis = 0; axis < 3; axis++) position[axis] = (float)(place * line->slope[axis] + line->first[axis]);
 }
 
-/* As position_at, of several places. */
+/* As position_at, for LANES places. */
 static inline void positions_at(const Line *line, const double *places, Floats *position) {
     Pairs place;
     memcpy(&place, places, sizeof place);
@@ -125,22 +125,21 @@ static inline void positions_in_block(const Line *line, double place, double siz
     }
 }
 
-/* What a grid holds at the samples of one block. */
+/* Values of a grid at the samples of a block. */
 static inline Floats sample_block(const Grid *grid, const Line *line, double place, double size) {
     Floats position[3];
     positions_in_block(line, place, size, position);
     return sample_grid(grid, position);
 }
 
-/* What is known of the neighbourhood of a block before it is sampled. */
+/* Bounds on the neighbourhood of a block before it is sampled. */
 typedef struct {
     int near;        /* whether any volume may hold something, */
     double peak;     /* the largest extinction that there may be */
     int64_t empty;   /* coarse blocks behind this one that are known to be empty */
 } Nearby;
 
-/* Whether a volume may hold something in a block whose middle lies in a cell. nearby: what is known of other volumes, to
-which this one is added. */
+/* Whether a volume may hold density or emission in a block whose middle lies in a cell; adds the volume to nearby. */
 static inline int cell_near(const Scene *scene, const Medium *medium, const Line *line, int64_t cell, Nearby *nearby) {
     const Occupancy *cells = &medium->occupancy;
     int64_t clearance = scene->skip_empty ? cells->clearance[cell] : 0, empty = 0;
@@ -164,7 +163,7 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     return cell_near(scene, medium, line, cell_around(&medium->occupancy, position), nearby);
 }
 
-/* What is known of all volumes around a block; near: (volumes), whether each may hold something there. */
+/* Bounds of all volumes around a block; near: (volumes), whether each may hold density or emission there. */
 static inline Nearby look_around(const Scene *scene, const Work *work, double place, double size, uint8_t *near) {
     Nearby nearby = {0, 0.0, INT64_MAX};
     for (int64_t v = 0; v < scene->volumes; v++) {
@@ -222,7 +221,7 @@ static int parts_of(const Scene *scene, const float *tau, double reached, double
     double depth = reached < 600.0 ? reached : 600.0, thickest = 0.0;
     for (int k = 0; k < STEPS; k++) thickest = (double)tau[k] > thickest ? (double)tau[k] : thickest;
     int parts = 1;
-    /* What is allowed only grows with depth. */
+    /* The limit only grows with depth. */
     if (thickest > scene->step_thickness) {
         double allowed = scene->step_thickness * exp(depth / scene->step_growth);
         while (parts < MOST_PARTS && thickest > parts * allowed) parts *= 2;
@@ -243,12 +242,12 @@ static inline int block_held(const Medium *medium, const Line *line, double plac
     return any_held(medium, position);
 }
 
-/* Coarse blocks that may hold something, one after another. */
+/* Coarse blocks that may hold density or emission, one after another. */
 typedef struct {
     int64_t count, used;
-    double from;          /* place from which on the next ones are looked for */
+    double from;          /* place from which on the next blocks are searched */
     double place[AHEAD], peak[AHEAD];
-    int64_t before[AHEAD], passed;  /* blocks near density that turned out to hold none: in front of each, and since */
+    int64_t before[AHEAD], passed;  /* blocks near density that turned out to be empty: in front of each, and since */
 } Coming;
 
 /* Find and sample the next coarse blocks of a ray that ends at `whole`; returns whether there are any. */
@@ -256,7 +255,7 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
     double from = coming->from;
     int64_t count = 0, passed = coming->passed;
     while (count < AHEAD && from < whole) {
-        /* The cells of blocks that follow each other, of which some are then leapt over. */
+        /* The cells of consecutive blocks, some of which are then skipped. */
         double middle[LANES];
         FOR_LANES(n) middle[n] = from + STEPS * (n + 0.5);
         for (int64_t v = 0; v < scene->volumes; v++) {
@@ -266,7 +265,7 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
             memcpy(work->cells + LANES * v, &cells, sizeof cells);
         }
         for (int64_t n = 0; n < LANES && count < AHEAD && from < whole;) {
-            int held = keep_empty;
+            int filled = keep_empty;
             Nearby nearby = {0, 0.0, INT64_MAX};
             for (int64_t v = 0; v < scene->volumes; v++) {
                 const Medium *medium = scene->media + v;
@@ -274,11 +273,11 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
                 uint8_t *near = work->near + count * scene->volumes + v;
                 *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
                 if (*near && !block_held(medium, line, from)) *near = 2;
-                held |= *near == 1;
+                filled |= *near == 1;
             }
             int64_t next = nearby.empty < INT64_MAX ? 1 + nearby.empty : 1;
             /* A ray whose features are wanted where it begins has a block there. */
-            if ((nearby.near && held) || (scene->at_start && from == 0.0)) {
+            if ((nearby.near && filled) || (scene->at_start && from == 0.0)) {
                 coming->place[count] = from;
                 coming->peak[count] = nearby.peak;
                 coming->before[count] = passed;
@@ -301,20 +300,20 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
 
 /* Keep a block whose steps were left as those from `at` on. */
 static void keep_block(const Scene *scene, const Ray *ray, double place, double size, int64_t at, Work *work) {
-    int64_t kept = STEPS * work->blocks;
-    if (at != kept) {
-        memcpy(work->total + kept, work->total + at, sizeof(Steps));
-        memcpy(work->tau + kept, work->tau + at, sizeof(Steps));
-        memcpy(work->within + kept, work->within + at, sizeof(Steps));
+    int64_t to = STEPS * work->blocks;
+    if (at != to) {
+        memcpy(work->total + to, work->total + at, sizeof(Steps));
+        memcpy(work->tau + to, work->tau + at, sizeof(Steps));
+        memcpy(work->within + to, work->within + at, sizeof(Steps));
         for (int64_t v = 0; v < scene->volumes; v++) {
             float *sigma = work->sigma + v * work->stride;
-            memcpy(sigma + kept, sigma + at, sizeof(Steps));
+            memcpy(sigma + to, sigma + at, sizeof(Steps));
         }
     }
-    for (int k = 0; k < STEPS; k++) work->dt[kept + k] = (float)(ray->dt * size);
+    for (int k = 0; k < STEPS; k++) work->dt[to + k] = (float)(ray->dt * size);
     work->place[work->blocks] = place;
     work->size[work->blocks] = size;
-    work->before[work->blocks + 1] = work->before[work->blocks] + (double)work->within[kept + STEPS - 1];
+    work->before[work->blocks + 1] = work->before[work->blocks] + (double)work->within[to + STEPS - 1];
     work->blocks++;
 }
 

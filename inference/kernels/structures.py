@@ -24,7 +24,7 @@ class Shared(ctypes.Structure):
         Pointers to arrays that are not C-contiguous are given as addresses.
         """
         super().__init__()
-        self.fields, self.kept = fields, list[Any]()
+        self.fields, self.referenced = fields, list[Any]()
         types = _types(type(self))
         for name, value in fields.items():
             if types[name] is c_void_p:
@@ -34,7 +34,7 @@ class Shared(ctypes.Structure):
             elif issubclass(types[name], ctypes.Array) and isinstance(value, tuple):
                 value = types[name](*map(self._pointer, value))
             elif isinstance(value, Shared):
-                self.kept.append(value)
+                self.referenced.append(value)
             elif isinstance(value, np.bool_):
                 # Which numpy no longer takes for a whole number.
                 value = bool(value)
@@ -43,7 +43,7 @@ class Shared(ctypes.Structure):
     def _pointer(self, value: Any) -> int | None:
         if value is None or isinstance(value, int):
             return value
-        self.kept.append(value)
+        self.referenced.append(value)
         if isinstance(value, np.ndarray):
             if not value.flags.c_contiguous:
                 raise ValueError("a kernel reads arrays in the order of C")
@@ -63,51 +63,51 @@ def array_of(values: list) -> ctypes.Array | None:
         return None
     array = (type(values[0]) * len(values))(*values)
     # ctypes copies the structures, not the Python attributes of their objects.
-    array.kept = values
+    array.referenced = values
     return array
 
 
 def pointers_to(values: Sequence[Shared | None]) -> ctypes.Array:
     """Pointers to structures, which it keeps alive, or to nothing."""
     array: Any = (c_void_p * len(values))(*(None if value is None else ctypes.addressof(value) for value in values))
-    array.kept = values
+    array.referenced = values
     return array
 
 
 def _read(*headers: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Structures and whole-number constants of some headers, and the structure that each function takes, by name."""
-    found: dict[str, Any] = {}
+    defined: dict[str, Any] = {}
     texts = [(Path(__file__).parent / header).read_text() for header in headers]
     text = re.sub(r"/\*.*?\*/|\\\n", "", "".join(texts), flags=re.DOTALL)
     for name, number, body, structure in re.findall(
         r"#define MRPNN_(\w+) (\d+)$|typedef struct {([^}]*)} (\w+);", text, flags=re.MULTILINE
     ):
         if structure:
-            fields = [field for line in body.split(";")[:-1] for field in _fields(line, found)]
-            found[structure] = type(structure, (Shared,), {"_fields_": fields})
+            fields = [field for line in body.split(";")[:-1] for field in _fields(line, defined)]
+            defined[structure] = type(structure, (Shared,), {"_fields_": fields})
         else:
-            found[name] = int(number)
-    return found, {name: found[structure] for name, structure in re.findall(r" X\((\w+), (?:const )?(\w+)\)", text)}
+            defined[name] = int(number)
+    return defined, {name: defined[structure] for name, structure in re.findall(r" X\((\w+), (?:const )?(\w+)\)", text)}
 
 
-def _fields(line: str, known: dict[str, Any]) -> list[tuple[str, Any]]:
-    """Fields of one line of declarations, such as `const double *nodes, areas[4]`; known: structures and constants."""
+def _fields(line: str, defined: dict[str, Any]) -> list[tuple[str, Any]]:
+    """Fields of a line of declarations, such as `const double *nodes, areas[4]`; defined: structures and constants."""
     kind, declared = re.match(r"\s*((?:\w+ )*\w+) (.*)", line, flags=re.DOTALL).groups()  # type: ignore[union-attr]
     fields = []
     for declaration in declared.split(","):
         pointer, name, size = re.match(r"\s*([*\w ]*[* ])?(\w+)(?:\[(\w+)\])?", declaration).groups()  # type: ignore[union-attr]
-        kinds = {"double": c_double, "int64_t": c_int64, **known}
+        kinds = {"double": c_double, "int64_t": c_int64, **defined}
         field = c_void_p if pointer else kinds[kind.split()[-1]]
-        count = known.get(size.removeprefix("MRPNN_")) if size and size.startswith("MRPNN_") else size
+        count = defined.get(size.removeprefix("MRPNN_")) if size and size.startswith("MRPNN_") else size
         fields.append((name, field * int(count) if count else field))
     return fields
 
 
-_FOUND, FUNCTIONS = _read("kernels.h", "fields.h")
+_DEFINED, FUNCTIONS = _read("kernels.h", "fields.h")
 
 
 def __getattr__(name: str) -> Any:
     """A structure, or a constant without its prefix."""
-    if name in _FOUND:
-        return _FOUND[name]
+    if name in _DEFINED:
+        return _DEFINED[name]
     raise AttributeError(f"the kernels' headers have no {name}")

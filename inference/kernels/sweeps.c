@@ -15,7 +15,7 @@ static void load(const float *from, int64_t stride, int64_t n, float *to) {
 }
 
 /* Follow one direction through a row of cells: radiance tends towards the source function. gather: weights of its mean
-in a cell in the sums, or NULL, where that is what `sums` are to hold. */
+in a cell in the sums, or NULL to store the mean in `sums`. */
 static void follow(int64_t n, const float *restrict parts, const float *restrict beam, const float *restrict emit,
                    const float *restrict arriving, const float *restrict link, const float *restrict leaving,
                    const float *restrict within, const float *restrict gather, float *restrict after,
@@ -102,12 +102,12 @@ int64_t NAMED(sweep_radiance, VARIANT)(const RadianceSweep *sweep) {
         for (int64_t k = 0; k < sweep->shape[0]; k++) {
             for (int64_t i = 0; i < rows; i++) {
                 /* Light of the previous slice, with a row and a column of zeros before the first. */
-                const double *here = before + (i + 1) * row + 1, *last = here - row;
+                const double *own = before + (i + 1) * row + 1, *last = own - row;
                 double *leaving = after + (i + 1) * row + 1;
                 int64_t at = k * sweep->strides[0] + i * sweep->strides[1];
                 for (int64_t c = 0; c < columns; c++) {
                     int64_t cell = at + c * sweep->strides[2];
-                    double ahead = here[c] * (1.0 - f) + last[c] * f, behind = here[c - 1] * (1.0 - f) + last[c - 1] * f;
+                    double ahead = own[c] * (1.0 - f) + last[c] * f, behind = own[c - 1] * (1.0 - f) + last[c - 1] * f;
                     double moved = ahead * (1.0 - g) + behind * g;
                     leaving[c] = moved * sweep->passed[kind + cell] + sweep->given[kind + cell];
                     double mean = moved * sweep->mean[kind + cell] + sweep->added[kind + cell];
@@ -129,14 +129,14 @@ static double apply(const Diffusion *system) {
     for (int64_t i = 0; i < shape[0]; i++) {
         for (int64_t j = 0; j < shape[1]; j++) {
             for (int64_t k = 0; k < shape[2]; k++) {
-                int64_t place[3] = {i, j, k}, at = i * strides[0] + j * strides[1] + k;
+                int64_t cell[3] = {i, j, k}, at = i * strides[0] + j * strides[1] + k;
                 const double *p = system->direction + at;
                 double y = system->diagonal[at] * *p;
                 for (int axis = 0; axis < 3; axis++) {
                     const double *coupling = system->couplings + axis * cells + at;
                     int64_t stride = strides[axis];
-                    if (place[axis] + 1 < shape[axis]) y -= coupling[0] * p[stride];
-                    if (place[axis] > 0) y -= coupling[-stride] * p[-stride];
+                    if (cell[axis] + 1 < shape[axis]) y -= coupling[0] * p[stride];
+                    if (cell[axis] > 0) y -= coupling[-stride] * p[-stride];
                 }
                 system->product[at] = y;
                 sum += y * *p;
@@ -146,7 +146,7 @@ static double apply(const Diffusion *system) {
     return sum;
 }
 
-/* Returns how many iterations there were, fewer than asked for once the residual is small enough. */
+/* Returns the number of iterations, fewer than given once the residual is small enough. */
 int64_t NAMED(conjugate_gradients, VARIANT)(Diffusion *system) {
     int64_t cells = system->shape[0] * system->shape[1] * system->shape[2];
     for (int64_t n = 0; n < system->iterations; n++) {
@@ -159,9 +159,9 @@ int64_t NAMED(conjugate_gradients, VARIANT)(Diffusion *system) {
             system->residual[at] = residual;
             rz += residual * (residual / system->diagonal[at]);
         }
-        double share = rz / system->rz;
+        double ratio = rz / system->rz;
         for (int64_t at = 0; at < cells; at++) {
-            system->direction[at] = system->residual[at] / system->diagonal[at] + share * system->direction[at];
+            system->direction[at] = system->residual[at] / system->diagonal[at] + ratio * system->direction[at];
         }
         system->rz = rz;
     }

@@ -37,7 +37,7 @@ def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def possible_counts(most: int) -> list[int]:
-    """Every number of depths above 0 that a ray may have, of `most` for an opaque one."""
+    """Every number of depths above 0 that a ray may have; an opaque ray has `most`."""
     return [*range(1, min(most, COARSE_COUNT + 1)), *range(2 * COARSE_COUNT, most, COARSE_COUNT), most]
 
 

@@ -243,7 +243,7 @@ def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium], mean: MeanLampDepth |
         mean=grid,
         mean_from=0.0 if mean is None else mean.start,
     )
-    described.kept += [*columns, grid]
+    described.referenced += [*columns, grid]
     return described
 
 
@@ -279,7 +279,7 @@ def describe_medium(
         varies=medium.varies,
         scattering=(structures.Grid * structures.CHANNELS)(*scattered),
     )
-    described.kept += [density, occupancy, *emission, *scattered]
+    described.referenced += [density, occupancy, *emission, *scattered]
     return described
 
 
@@ -309,7 +309,7 @@ def _fluence(fluence: ScatteredFluence | None) -> structures.Shared:
         flux_from_world=fluence.flux_from_world(),
         reduced_fraction=fluence.reduced_fraction,
     )
-    described.kept += lights
+    described.referenced += lights
     return described
 
 

@@ -26,7 +26,7 @@ OPAQUE, DARK = 80.0, 1e-30
 
 @dataclass(frozen=True)
 class MeanLampDepth:
-    """Optical depth of a lamp's light at the voxels of one medium, and at those around it.
+    """Mean optical depth of a lamp's light at the voxels of a medium, and at a layer around it.
 
     It is -ln of the mean transmittance towards the lamp's emitters, weighted by their unattenuated light. grid: depths,
     with a layer of voxels before the medium's first along each axis. start: distance from the lamp's middle, in world

@@ -192,7 +192,7 @@ def _difference(views: np.ndarray, sky: np.ndarray) -> float:
 
 
 def _linear(low: np.ndarray, high: np.ndarray, axes: Sequence[int]) -> list[PlaceWeight]:
-    """Weights that are linear between the corners (3,) of a box along some axes, and sum to 1."""
+    """Weights that are linear between the corners (3,) of a box along the given axes, and sum to 1."""
     choices = [((low[a], high[a]), (high[a], low[a])) if a in axes else (None,) for a in range(3)]
     return [PlaceWeight(ends) for ends in itertools.product(*choices)]
 

@@ -77,7 +77,7 @@ class Volume:
             raise SceneError(f"{self.name}: emission holds NaN or infinite values")
 
     def same_content(self, other: "Volume") -> bool:
-        """Whether two volumes hold equal grids at the same place, whatever their names."""
+        """Whether two volumes hold equal grids at the same position, whatever their names."""
         mine: list[Voxels] = [self.density, *self.emission_channels(), *(self.scattering or ())]
         theirs: list[Voxels] = [other.density, *other.emission_channels(), *(other.scattering or ())]
         return (

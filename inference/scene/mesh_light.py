@@ -30,7 +30,7 @@ ROUND = 1.5
 class MeshLight(Lamp):
     """The light that a surface emits, as a lamp.
 
-    surface: whose emission is not 0. Open meshes shine on both sides, closed ones outwards, as if they were convex.
+    surface: with emission above 0. Open meshes shine on both sides, closed meshes outwards, as if they were convex.
     power: W, float64 (3,). area: of the mesh. centre: (3,), mean of its area. closed: whether the mesh is.
     """
 

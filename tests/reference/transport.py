@@ -102,9 +102,9 @@ def refined(grid: Fields) -> np.ndarray | None:
     if not grid:
         return None
     values = grid["values"]
-    for axis, (below, share) in enumerate(zip(grid["below"], grid["share"])):
+    for axis, (below, fraction) in enumerate(zip(grid["below"], grid["fraction"])):
         low, high = values.take(below, axis), values.take(below + 1, axis)
-        values = low + (high - low) * share.reshape([-1 if a == axis else 1 for a in range(3)])
+        values = low + (high - low) * fraction.reshape([-1 if a == axis else 1 for a in range(3)])
     return values
 
 

@@ -114,7 +114,7 @@ def test_the_kernels_compile_natively_where_nothing_is_shipped(monkeypatch):
 
 
 def test_a_library_of_another_interface_is_refused(monkeypatch):
-    monkeypatch.setitem(structures._FOUND, "INTERFACE", structures.INTERFACE + 1)
+    monkeypatch.setitem(structures._DEFINED, "INTERFACE", structures.INTERFACE + 1)
     with pytest.raises(Unavailable, match=f"interface {structures.INTERFACE - 1} instead of {structures.INTERFACE}"):
         Kernels(KERNELS.path)
 
