@@ -13,7 +13,7 @@ from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, light_state, remove_light, show_light
 from ..mrpnn_addon.baking.fast_settings import set_fast
 from ..mrpnn_addon.runtime.background import Worker
-from ..mrpnn_addon.runtime.text import report, status_bar
+from ..mrpnn_addon.runtime.text import percent, report, status_bar
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
@@ -96,7 +96,7 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         context.window_manager.progress_update(int(100 * job.fraction))
-        status_bar(context, f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
+        status_bar(context, f"MRPNN {percent(job.fraction)}  {job.message}  (Esc stops)")
         if not job.done:
             return {"PASS_THROUGH"}
         if self._loading is not None and job.error is None and not job.stopped:

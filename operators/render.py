@@ -13,7 +13,7 @@ from ..inference.scene import SceneError
 from ..mrpnn_addon.engine.render_job import Finished, RenderJob, render_scene
 from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_in_image
 from ..mrpnn_addon.runtime.background import Worker
-from ..mrpnn_addon.runtime.text import report, status_bar
+from ..mrpnn_addon.runtime.text import percent, report, status_bar
 from ..mrpnn_addon.scene.reader import read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
@@ -92,7 +92,7 @@ class MRPNN_OT_render(bpy.types.Operator):
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         context.window_manager.progress_update(int(100 * job.fraction))
-        status_bar(context, f"MRPNN {job.fraction:.0%}  {job.message}  (Esc stops)")
+        status_bar(context, f"MRPNN {percent(job.fraction)}  {job.message}  (Esc stops)")
         if not job.done:
             return {"PASS_THROUGH"}
         if self._loading is not None and job.error is None and not job.stopped:

@@ -2,6 +2,7 @@
 """Wraps sentences in panels, whose labels do not wrap, and tells in them which names cannot be read."""
 
 import functools
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -44,9 +45,12 @@ def draw_text(context: "bpy.types.Context", layout: "bpy.types.UILayout", text: 
 
 
 def wrapped(text: str, width: float, measure: Callable[[str], float]) -> list:
-    """The words of a text in lines that are no wider than `width` by `measure`; wider words are split."""
+    """The words of a text in lines that are no wider than `width` by `measure`; wider words are split.
+
+    A number and its percent sign are one word.
+    """
     lines = [""]
-    for word in text.split():
+    for word in re.split(r"\s+(?!%)", text.strip()):
         longer = f"{lines[-1]} {word}".lstrip()
         if measure(longer) <= width:
             lines[-1] = longer

@@ -17,7 +17,7 @@ from ..objects.camera import film_exposure, read_views
 from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..runtime.background import Worker
-from ..runtime.text import render_status, report, utf8_names
+from ..runtime.text import percent, render_status, report, utf8_names
 from ..scene.film import Background, read_background
 from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
@@ -276,7 +276,7 @@ class _Progress:
         # The first seconds do not predict the rest.
         left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
         # The seconds left differ at every call.
-        self._engine.say(f"{self._message}, {fraction:.0%}", left)
+        self._engine.say(f"{self._message}, {percent(fraction)}", left)
 
 
 def _keeps_volumes(update: "bpy.types.DepsgraphUpdate") -> bool:

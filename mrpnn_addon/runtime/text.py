@@ -68,6 +68,11 @@ def stamp_field(result: Any, name: str, value: object) -> None:
     result.stamp_data_add_field(safe_text(name), safe_text(value))
 
 
+def percent(fraction: float) -> str:
+    """How much of some work is done, in whole percent: 100 % is its end."""
+    return f"{int(100.0 * fraction)}%"
+
+
 def _shown(letter: re.Match[str]) -> str:
     code = ord(letter[0])
     # What stands for the bytes 0x80 to 0xff.

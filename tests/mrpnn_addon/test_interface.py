@@ -239,3 +239,14 @@ def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cl
             before = _left_behind()
     assert _left_behind() == before
     assert said == ""
+
+
+def test_lines_of_a_panel_keep_numbers_and_their_percent_signs_together(addon):
+    from mrpnn.panels.text import wrapped
+
+    text = "Expected error: 1.6 % (1.1\u20132.5 %), mostly in the lower part"
+    for width in range(len("(1.1\u20132.5 %),"), 60):
+        lines = wrapped(text, width, len)
+        assert max(map(len, lines)) <= width
+        assert " ".join(lines) == text
+        assert not any(line.startswith("%") for line in lines)

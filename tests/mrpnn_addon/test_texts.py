@@ -11,6 +11,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from inference.runtime.progress import Progress
 from tests.support import blender_scenes
 from tests.support.exr_files import channels
 from tests.support.paths import ROOT
@@ -72,6 +73,20 @@ def test_safe_texts_show_the_bytes_and_reports_never_raise(addon, capfd):
     # Nothing to report to.
     text.report(None, "ERROR", f"lost {ODD}")
     assert r"lost \xff\xfe" in capfd.readouterr().err
+
+
+def test_work_that_goes_on_is_never_said_to_be_done(addon):
+    from mrpnn.mrpnn_addon.runtime.text import percent
+
+    told = []
+    progress = Progress(lambda fraction, message: told.append(percent(fraction)))
+    for stage in ("shadows", "transport", "lattices", "march", "network"):
+        progress.expect(stage, 1.0)
+        progress.advance(stage, 2.0, seconds=1.0)
+    progress.message("more than was expected")
+    assert told[-1] == "99%"
+    progress.finish()
+    assert told[-1] == "100%"
 
 
 def test_a_file_is_rendered_and_written_whatever_bytes_its_path_has(addon, scene, cloud, tmp_path):
