@@ -22,7 +22,7 @@ from ..scene.description import Medium, Surface, Volume
 from ..scene.light import Light
 from ..scene.settings import Settings
 from .directional_factor import DETAIL_SHARPNESS, BakedView
-from .directions import DirectionFit, make_lobe
+from .directions import DirectionFit, expected_predictions, make_lobe
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
 from .lit_volume import LitVolume
 from .smooth_light import continued, importance_of, radiance_in_voxels
@@ -31,8 +31,6 @@ from .smooth_light import continued, importance_of, radiance_in_voxels
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
-# Points predicted for other directions, as the progress expects them: of a voxel, of at most so many voxels.
-DIRECTIONAL_POINTS, DIRECTIONAL_VOXELS = 30.0, 20000.0
 
 
 def bake(
@@ -153,13 +151,19 @@ class _Bake:
         wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
         points = sum(wanted)
         if self.context.settings.directional:
-            points += DIRECTIONAL_POINTS * sum(min(one, DIRECTIONAL_VOXELS) for one in wanted)
+            points += sum(self._directional(v, voxels) for v, voxels in enumerate(wanted))
         needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
         progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
         progress.expect("lattices", jobs * len(plan.groups))
         marched = needs_fluence or bool(plan.environments or plan.lamps)
         progress.expect("march", 60.0 * points * len(plan.channels) if marched else 0.0)
         progress.expect("network", points * jobs)
+
+    def _directional(self, v: int, voxels: float) -> float:
+        """Predictions that other directions take of a volume with so many voxels with light."""
+        lattice = self.lattices[v]
+        thickness = self.visibilities[v].most_extinction * lattice.voxel
+        return expected_predictions(voxels, max(lattice.density.shape), thickness)
 
     def _wanted(self, v: int) -> np.ndarray:
         """bool (nx, ny, nz): voxels whose light is baked."""

@@ -24,6 +24,13 @@ from .lattice import DIRECTIONS, BakeLattice, Visibility
 NODES, FINE_NODES = 48, 112
 # Voxels of each of the latter whose mean is taken: light differs from one to the next.
 FINE_VOXELS = 2
+# In thin volumes light varies less from voxel to voxel: points are as far apart as this optical depth, but at least so
+# many along the longest edge.
+SPACING, LEAST_NODES = 0.2, 20
+# Points times directions of each kind, beyond which points are farther apart.
+MAX_PREDICTIONS = 2_000_000
+# Share of the points with light that count in a picture, for the progress.
+IMPORTANT_SHARE = 0.5
 # Suns about which the lobe is, the brightest.
 MAX_LIGHTS = 4
 # Transmittance below which nobody sees light along a direction, and radiance, as a share of the mean of a point, below
@@ -79,15 +86,36 @@ def _ring(axis: np.ndarray, degrees: float, count: int) -> np.ndarray:
     return np.cos(np.radians(degrees)) * axis + np.sin(np.radians(degrees)) * ring
 
 
+def stride_of(longest: int, most: int, thickness: float) -> int:
+    """Voxels from point to point, for at most so many points along the longest edge; more in thin volumes.
+
+    longest: voxels along that edge. thickness: optical, of the densest voxel.
+    """
+    thin = min(SPACING / max(thickness, 1e-30), longest / LEAST_NODES)
+    return max(-(-longest // most), int(thin), 1)
+
+
+def expected_predictions(voxels: float, longest: int, thickness: float) -> float:
+    """Points times directions at which a fit predicts light, about; the arguments are as for `stride_of`.
+
+    voxels: number of those with light.
+    """
+    each = (NODES, len(DIRECTIONS) + VIEW_RING[1]), (FINE_NODES, FINE_VOXELS * (len(ANCHORS) - 1))
+    points = [IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3 * times for most, times in each]
+    return sum(min(number, MAX_PREDICTIONS) for number in points)
+
+
 @dataclass(frozen=True)
 class _Nodes:
     """Points of a coarse grid at which light is predicted, and voxels of each.
 
-    shape: of the grid. places: int (N, 3). voxels: int (N, V, 3), those near the middle of a point's block that have
-    light, some more than once where there are fewer. world_from_index: (4, 4) of the grid.
+    shape: of the grid. stride: voxels from one point to the next. places: int (N, 3). voxels: int (N, V, 3), those near
+    the middle of a point's block that have light, some more than once where there are fewer. world_from_index: (4, 4)
+    of the grid.
     """
 
     shape: tuple[int, ...]
+    stride: int
     places: np.ndarray
     voxels: np.ndarray
     world_from_index: np.ndarray
@@ -128,9 +156,9 @@ class DirectionFit:
 
     def _smooth(self) -> tuple[NodeGrid, NodeGrid | None]:
         """Smooth coefficients, and those of the colours."""
-        nodes = self._nodes(NODES)
-        directions = sampled_directions(self.lobe, self.view.directions(nodes.positions))
-        nodes, seen = self._important(nodes, directions)
+        nodes, directions, seen = self._important(
+            NODES, 1, lambda nodes: sampled_directions(self.lobe, self.view.directions(nodes.positions))
+        )
         samples = np.zeros((len(nodes.voxels), len(directions), 3))
         for number, direction in enumerate(directions):
             at = np.flatnonzero(seen[:, number])
@@ -148,34 +176,41 @@ class DirectionFit:
 
     def _anchors(self, smooth: NodeGrid) -> NodeGrid:
         """Logarithms of the light as baked, and what corrects smooth coefficients along the anchors."""
-        nodes = self._nodes(FINE_NODES, FINE_VOXELS)
+        if self.view.directions(np.zeros((1, 3))) is None:
+            nodes = self._nodes(self._stride(FINE_NODES), FINE_VOXELS)
+            return nodes.grid(_logarithm(self._baked(nodes.voxels).mean(axis=1))[:, None])
+        nodes, corrections = self._corrections(smooth)
         positions, logarithms = nodes.positions, _logarithm(self._baked(nodes.voxels).mean(axis=1))
         frames = self.view.frames(positions)
-        if frames is None:
-            return nodes.grid(logarithms[:, None])
-        corrections = self._corrections(nodes, frames, smooth)
+        assert frames is not None
         # Along the baked ray, light is known at every node.
         fitted = np.einsum("nk,nk->n", smooth.sample(positions), directional_terms(frames[:, 2], self.lobe))
         fitted += corrections @ anchor_terms(ANCHORS[:1])[0]
         corrections[:, 0] += logarithms - fitted
         return nodes.grid(np.concatenate([logarithms[:, None], corrections], axis=1))
 
-    def _corrections(self, nodes: _Nodes, frames: np.ndarray, smooth: NodeGrid) -> np.ndarray:
-        """Corrections (N, K) of nodes in whose frames (N, 3, 3) the anchors are; unimportant nodes take others'."""
-        middle = frames[np.linalg.norm(frames - frames.mean(axis=0), axis=(1, 2)).argmin()]
-        some, _ = self._important(nodes, ANCHORS @ middle)
-        turned, coefficients = self.view.frames(some.positions), smooth.sample(some.positions)
+    def _corrections(self, smooth: NodeGrid) -> tuple[_Nodes, np.ndarray]:
+        """Nodes and their corrections (N, K) along the anchors; unimportant nodes take others'."""
+        nodes, _, _ = self._important(FINE_NODES, FINE_VOXELS, self._middle_anchors)
+        turned, coefficients = self.view.frames(nodes.positions), smooth.sample(nodes.positions)
         assert turned is not None
         light, fitted = np.zeros((2, len(coefficients), len(ANCHORS)))
         for k, anchor in enumerate(ANCHORS):
             directions = np.einsum("j,nji->ni", anchor, turned)
-            predicted = self._light(some.voxels, directions) if k else self._baked(some.voxels)
+            predicted = self._light(nodes.voxels, directions) if k else self._baked(nodes.voxels)
             light[:, k] = predicted.mean(axis=1)
             fitted[:, k] = np.einsum("nk,nk->n", coefficients, directional_terms(directions, self.lobe))
         logarithms = _logarithm(np.maximum(light, MIN_RADIANCE * light.mean(axis=1, keepdims=True)))
         # The same everywhere: anchors turn with the baked ray.
-        corrections = product(logarithms - fitted, np.linalg.inv(anchor_terms(ANCHORS)))
-        return some.grid(corrections).values[tuple(nodes.places.T)].astype(np.float64)
+        corrections = nodes.grid(product(logarithms - fitted, np.linalg.inv(anchor_terms(ANCHORS))))
+        every = self._nodes(nodes.stride, FINE_VOXELS)
+        return every, corrections.values[tuple(every.places.T)].astype(np.float64)
+
+    def _middle_anchors(self, nodes: _Nodes) -> np.ndarray:
+        """Directions (K, 3) of the anchors in the middle of nodes."""
+        frames = self.view.frames(nodes.positions)
+        assert frames is not None
+        return ANCHORS @ frames[np.linalg.norm(frames - frames.mean(axis=0), axis=(1, 2)).argmin()]
 
     def _light(self, voxels: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Light (N, 3) that density 1 scatters along unit directions (N, 3), mean over voxels (N, V, 3)."""
@@ -188,10 +223,13 @@ class DirectionFit:
         """Light (N, 3) as baked, mean over voxels (N, V, 3)."""
         return self.scattered[tuple(np.moveaxis(voxels, -1, 0))].mean(axis=1)
 
-    def _nodes(self, most: int, count: int = 1) -> _Nodes:
-        """Nodes with light, at most so many along an edge, and up to `count` voxels of each."""
+    def _stride(self, most: int) -> int:
+        thickness = self.visibility.most_extinction * self.lattice.voxel
+        return stride_of(max(self.scattered.shape[:3]), most, thickness)
+
+    def _nodes(self, stride: int, count: int) -> _Nodes:
+        """Nodes with light, so many voxels apart, and up to `count` voxels of each."""
         size, lattice = self.scattered.shape[:3], self.lattice
-        stride = max(-(-max(size) // most), 1)
         shape = tuple(-(-n // stride) for n in size)
         voxels = np.argwhere(self.scattered.any(axis=3))
         places = voxels // stride
@@ -205,9 +243,27 @@ class DirectionFit:
         frame = lattice.world_from_index.copy()
         frame[:3, :3] *= stride
         frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
-        return _Nodes(shape, places[order[first]], voxels[chosen], frame)
+        return _Nodes(
+            shape=shape, stride=stride, places=places[order[first]], voxels=voxels[chosen], world_from_index=frame
+        )
 
-    def _important(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
+    def _important(
+        self, most: int, count: int, directions_at: Callable[[_Nodes], np.ndarray]
+    ) -> tuple[_Nodes, np.ndarray, np.ndarray]:
+        """Nodes that count, the directions (D, 3) that rays have there, and how clearly each shows a node (N, D).
+
+        most, count: as for `_stride` and `_nodes`. No more nodes than MAX_PREDICTIONS allows.
+        """
+        stride = self._stride(most)
+        while True:
+            nodes = self._nodes(stride, count)
+            directions = directions_at(nodes)
+            nodes, seen = self._seen(nodes, directions)
+            if nodes.voxels[..., 0].size * len(directions) <= MAX_PREDICTIONS:
+                return nodes, directions, seen
+            stride += 1
+
+    def _seen(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
         """Nodes that count where rays go along some of D directions (D, 3), and how clearly each shows them (N, D).
 
         Transmittances, 0 where nobody sees a node along a direction.

@@ -147,6 +147,11 @@ class Visibility:
                 depths = np.maximum(depths - self.depths[(nearest, *at)], np.float32(0.0))
         return self._in_voxels(np.exp(-depths).reshape(self.depths.shape[1:]))
 
+    @property
+    def most_extinction(self) -> float:
+        """Largest extinction of a cell per world unit."""
+        return float(self._extinction.max())
+
     def extinction(self, voxels: np.ndarray) -> np.ndarray:
         """Extinction per world unit, float32 (N,), of the cells around voxels int (N, 3)."""
         x, y, z = (voxels // self.cell).T

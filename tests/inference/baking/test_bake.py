@@ -319,6 +319,19 @@ def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, er
     assert relative(found, truth) < relative(lit.emission.reshape(-1, 3), truth)
 
 
+@pytest.mark.slow(seconds=40)
+def test_in_thin_fog_finer_voxels_take_no_more_predictions_for_other_directions():
+    points = []
+    for voxels in (40, 80):
+        scene = [(box(voxels=voxels), Medium(1.0, 0.9, 0.5))], [SUN], camera()
+        with_directions, without = (
+            bake(*scene, Settings(directional=directional))[0].report.counts["network points"]
+            for directional in (True, False)
+        )
+        points.append(with_directions - without)
+    assert 1.5 * points[0] > points[1] > 1000
+
+
 @pytest.mark.slow
 def test_each_colour_of_a_coloured_volume_has_its_own_directions():
     volume, medium = cloud(voxels=16), Medium(40.0, (0.6, 0.9, 1.0), 0.85)
