@@ -4,6 +4,7 @@
 Both are a `System`, under names that no list of networks shows.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +15,9 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..scene.phase_function import henyey_greenstein
-from .conditions import Conditions
+from .conditions import LitConditions, RayPoints
 from .interfaces import PreparedPrediction
 from .network import register_system
-from .ray_points import RayPoints
 
 SINGLE, OCTAVES = "single-scattering", "multi-octave"
 # Wrenninge, Kulla, Lundqvist: "Oz: The Great and Volumetric", 2013: attenuation, contribution and eccentricity of each
@@ -60,18 +60,18 @@ class BaselinePredictor:
     anisotropy: float
     respects_surfaces = False
 
-    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
+    def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
         """What predicts for one sun."""
-        return MultiOctave(self.anisotropy, conditions.sun) if self.name == OCTAVES else SingleScattering()
+        return MultiOctave(self.anisotropy, conditions.light.direction) if self.name == OCTAVES else SingleScattering()
 
-    def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> None:
+    def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> None:
         """None: baselines need no scattered light."""
 
 
 class SingleScattering:
     """No multiple scattering; a `PreparedPrediction`."""
 
-    lattice_cells = 0
+    lattice_cells, scale = 0, 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N) of zeros."""
@@ -87,7 +87,7 @@ class MultiOctave:
 
     anisotropy: float
     sun: np.ndarray
-    lattice_cells = 0
+    lattice_cells, scale = 0, 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""

@@ -15,9 +15,9 @@ from ..scene.errors import SceneError
 from ..transport.blurred_environment import read_image
 from ..transport.environment_light import ALBEDOS, read_lattice
 from ..transport.open_depths import OpenDepths
+from .conditions import RayPoints
 from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
 from .provider import open_session
-from .ray_points import RayPoints
 from .weights_file import read_weights
 
 # Folder of these networks' weights; each has the name of the network for suns that it stands beside.

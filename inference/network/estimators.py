@@ -12,18 +12,17 @@ from typing import Protocol
 
 import numpy as np
 
-from ..marching.extended_lights import EquivalentDirections
-from ..marching.joined_lamps import PredictedLamp
 from ..marching.ray_features import RayFeatures
-from ..scene.description import Sun
 from ..transport.scattered_emission import ScatteredEmission
 from .albedos import Albedos
-from .prepared_predictors import EnvironmentPredictor, PreparedLampPredictor, PreparedPredictor
-from .ray_points import RayPoints
+from .conditions import RayPoints
+from .prepared_predictors import EnvironmentPredictor, RadiancePredictor
 from .uncertainty import UncertaintyNetwork
 
 #: A quantity that is told of points: whether light has scattered there for the first time, and a colour channel.
 Quantity = tuple[bool, int]
+#: Gives the directions (N, 3) in which a light sees rays along directions (N, 3), by their places in the image.
+Turn = Callable[[np.ndarray, tuple[np.ndarray, np.ndarray] | None], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -104,10 +103,28 @@ class Estimator(Protocol):
         """Light (N,) that has scattered and arrives from ahead on the ray, as far as it is known."""
 
 
-class _MultipleScattering:
-    """What estimators have in common whose network predicts multiple scattering of several albedos."""
+@dataclass(frozen=True, kw_only=True)
+class LightEstimator:
+    """Of a light that the network for suns predicts; an `Estimator`.
 
+    strength: (3,), irradiance or power. prepare: makes the predictor, for a strength of 1. features: what rays have
+    gathered of the light at points, float32 (N, COLUMNS). turn: in which directions it sees rays. holds: whether the
+    predictor is kept; those with large lookup lattices are made anew each time.
+    """
+
+    strength: np.ndarray
     albedos: Albedos
+    prepare: Callable[[], RadiancePredictor]
+    features: Callable[[LitPoints], np.ndarray | None]
+    turn: Turn
+    uncertainty: UncertaintyNetwork | None = None
+    holds: bool = True
+    coloured = needs_depths = False
+
+    @cached_property
+    def predictor(self) -> RadiancePredictor:
+        """What predicts for a strength of 1."""
+        return self.prepare()
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -119,132 +136,43 @@ class _MultipleScattering:
         """One for each albedo."""
         return len(self.albedos.values)
 
-
-@dataclass(frozen=True)
-class SunEstimator(_MultipleScattering):
-    """Of a sun that may have parts; an `Estimator`.
-
-    lights: numbers of its parts among the suns that rays are marched for. shares: float32 (n,), of the light of each.
-    prepare: makes the predictor. holds: whether it is kept; those with large lookup lattices are made anew each time.
-    turn: in which directions it sees rays.
-    """
-
-    sun: Sun
-    lights: Sequence[int]
-    shares: np.ndarray
-    albedos: Albedos
-    prepare: Callable[[], PreparedPredictor]
-    turn: EquivalentDirections
-    uncertainty: UncertaintyNetwork | None = None
-    holds: bool = True
-    coloured = needs_depths = False
-
-    @cached_property
-    def predictor(self) -> PreparedPredictor:
-        """What predicts for an irradiance of 1."""
-        return self.prepare()
-
-    def ready(self) -> "SunEstimator":
+    def ready(self) -> "LightEstimator":
         """As of Estimator."""
         found = self if self.holds else replace(self, holds=True)
         assert found.predictor is not None
         return found
 
-    @property
-    def strength(self) -> np.ndarray:
-        """Its irradiance."""
-        return self.sun.irradiance
-
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance float32 (A, N) of each albedo."""
         return self.predictor.predict(self._asked(points), self.albedos.values)
 
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""
-        rows = self.albedos.by_channel(predicted, points.positions, self.turn(points.directions, points.image))
-        return {(False, c): row for c, row in rows}
+        return {
+            (False, c): row
+            for c, row in self.albedos.by_channel(
+                predicted, points.positions, self.turn(points.directions, points.image)
+            )
+        }
 
     def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
         """As of Estimator."""
-        return _deviation(self.predictor, self, self._asked(points), predicted)
+        assert self.uncertainty is not None
+        # Several channels may have one albedo.
+        different = dict(zip(self.albedos.values, predicted))
+        found = self.predictor.deviation(self.uncertainty, self._asked(points), different)
+        relative: np.ndarray = found[[list(different).index(albedo) for albedo in self.albedos.values]]
+        return relative * predicted
 
     def light_ahead(self, points: LitPoints) -> np.ndarray | None:
         """As of Estimator."""
-        features = self._features(points)
+        features = self.features(points)
         return None if features is None else features[:, -1]
 
     def _asked(self, points: LitPoints) -> RayPoints:
-        directions = self.turn(points.directions, points.image)
-        return RayPoints(points.positions, directions, points.jitter, self._features(points))
-
-    def _features(self, points: LitPoints) -> np.ndarray | None:
-        if points.suns is None:
-            return None
-        return points.suns.mean(points.places, points.group, self.lights, self.shares)
-
-
-@dataclass(frozen=True)
-class LampEstimator(_MultipleScattering):
-    """Of a lamp, or of several that are predicted as one; an `Estimator`.
-
-    lights: their numbers among the lamps that rays are marched for.
-    """
-
-    lamp: PredictedLamp
-    lights: Sequence[int]
-    albedos: Albedos
-    predictor: PreparedLampPredictor
-    uncertainty: UncertaintyNetwork | None = None
-    coloured = needs_depths = False
-
-    @property
-    def strength(self) -> np.ndarray:
-        """Its power."""
-        return self.lamp.power
-
-    def ready(self) -> "LampEstimator":
-        """As of Estimator."""
-        return self
-
-    def predict(self, points: LitPoints) -> np.ndarray:
-        """Radiance float32 (A, N) of each albedo."""
-        return self.predictor.predict(self._asked(points), self.albedos.values)
-
-    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
-        """As of Estimator."""
-        rows = self.albedos.by_channel(predicted, points.positions, points.directions)
-        return {(False, c): row for c, row in rows}
-
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """As of Estimator."""
-        return _deviation(self.predictor, self, self._asked(points), predicted)
-
-    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
-        """As of Estimator."""
-        return self._features(points)[:, -1]
-
-    def _asked(self, points: LitPoints) -> RayPoints:
-        return RayPoints(points.positions, points.directions, points.jitter, self._features(points))
-
-    def _features(self, points: LitPoints) -> np.ndarray:
-        assert points.lamps is not None
-        shares = self.lamp.shares(points.positions) if len(self.lights) > 1 else np.ones(1)
-        return points.lamps.mean(points.places, points.group, self.lights, shares)
-
-
-def _deviation(
-    predictor: PreparedPredictor | PreparedLampPredictor,
-    estimator: SunEstimator | LampEstimator,
-    points: RayPoints,
-    predicted: np.ndarray,
-) -> np.ndarray:
-    assert estimator.uncertainty is not None
-    # Several channels may have one albedo.
-    albedos = estimator.albedos.values
-    different = dict(zip(albedos, predicted))
-    found = predictor.deviation(estimator.uncertainty, points, different)
-    relative: np.ndarray = found[[list(different).index(albedo) for albedo in albedos]]
-    return relative * predicted
+        return RayPoints(
+            points.positions, self.turn(points.directions, points.image), points.jitter, self.features(points)
+        )
 
 
 @dataclass(frozen=True)

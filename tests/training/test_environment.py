@@ -11,10 +11,10 @@ import torch
 from benchmarks.fidelity.environments import cameras
 from benchmarks.fidelity.shaded_environments import rectangle
 from inference import Environment, Medium, Settings, Surface, render
+from inference.network.conditions import RayPoints
 from inference.network.environment_network import load_environment_network
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
-from inference.network.ray_points import RayPoints
 from training import export_environment, train_environment
 from training.data import environment_targets
 from training.data.seeded_volume import cube_volume, seeded_volume
