@@ -14,7 +14,6 @@ from ..marching.joined_lamps import PredictedLamp
 from ..network.albedos import Albedos
 from ..network.conditions import PredictedLight
 from ..network.estimators import (
-    CorrectedEstimator,
     EmissionEstimator,
     EnvironmentEstimator,
     Estimator,
@@ -104,7 +103,7 @@ class Source:
         rows = [
             replace(row, scattered=(row.scattered * factors[row.channels[0]]).astype(np.float32)) for row in self.rows
         ]
-        return replace(self, estimator=CorrectedEstimator(self.estimator, factors), rows=rows)
+        return replace(self, rows=rows)
 
     @property
     def channels(self) -> int:
@@ -164,9 +163,10 @@ class AskedGroup:
             if self.scene.plan.lights_group(one.sun, self.number):
                 light = PlacedSun(one.sun, self.group.predictor.cube, self.scene.occluders)
                 anisotropy, cancel = self.group.medium.anisotropy, self.context.cancel
+                asked = self.group.medium, self.sigma_t, self.channels.indices, light, self.scene.occluders
                 yield self._predicted(
                     light,
-                    self._albedos(light),
+                    self.group.predictor.albedos(*asked, self.context.tasks, self.scene.plan.optimizations),
                     strength=one.sun.irradiance,
                     features=functools.partial(features_of_sun, one),
                     turn=EquivalentDirections(self.camera, one.sun, anisotropy, cancel),
@@ -255,11 +255,6 @@ class AskedGroup:
             lights=lights,
             needs_detail=needs_detail,
         )
-
-    def _albedos(self, light: PlacedSun) -> Albedos:
-        scene, context = self.scene, self.context
-        asked = self.group.medium, self.sigma_t, self.channels.indices, light
-        return self.group.predictor.albedos(*asked, scene.occluders, context.tasks, scene.plan.optimizations)
 
 
 def features_of_sun(one: PredictedSun, points: LitPoints) -> np.ndarray | None:
@@ -364,7 +359,7 @@ def prepare_sources(
             if channel_pass.lamps and plan.predicts_lamps:
                 sources += group.lamps()
         if scene.environment_network is not None and channel_pass.first:
-            sources += [group.environments(plan.environments) for group in groups]
+            sources += [group.environments(scene.environments) for group in groups]
     return sources
 
 

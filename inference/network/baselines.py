@@ -4,7 +4,6 @@
 Both are a `System`, under names that no list of networks shows.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..scene.phase_function import henyey_greenstein
 from .conditions import LitConditions, RayPoints
-from .interfaces import PreparedPrediction
+from .interfaces import Predictor, PreparedPrediction
 from .network import register_system
 
 SINGLE, OCTAVES = "single-scattering", "multi-octave"
@@ -53,8 +52,8 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class BaselinePredictor:
-    """The `FluencePredictor` of a baseline. name: of the baseline."""
+class BaselinePredictor(Predictor):
+    """Of a baseline. name: of the baseline."""
 
     name: str
     anisotropy: float
@@ -63,9 +62,6 @@ class BaselinePredictor:
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
         """What predicts for one sun."""
         return MultiOctave(self.anisotropy, conditions.light.direction) if self.name == OCTAVES else SingleScattering()
-
-    def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> None:
-        """None: baselines need no scattered light."""
 
 
 class SingleScattering:

@@ -16,7 +16,8 @@ from ..marching.ray_features import RayFeatures
 from ..transport.scattered_emission import ScatteredEmission
 from .albedos import Albedos
 from .conditions import RayPoints
-from .prepared_predictors import EnvironmentPredictor, RadiancePredictor
+from .environment_network import PreparedEnvironment
+from .prepared_predictors import RadiancePredictor
 from .uncertainty import UncertaintyNetwork
 
 #: A quantity that is told of points: whether light has scattered there for the first time, and a colour channel.
@@ -66,6 +67,7 @@ class Estimator(Protocol):
     @property
     def strength(self) -> np.ndarray:
         """(3,), what its light is to be multiplied with in each colour channel."""
+        return np.ones(3)
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -89,6 +91,7 @@ class Estimator(Protocol):
 
     def ready(self) -> "Estimator":
         """The same, to be asked on several threads, with all that it reads. Raises Cancelled."""
+        return self
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """What is predicted at points, (A, N, ...), for `radiance` and `deviation`."""
@@ -97,10 +100,12 @@ class Estimator(Protocol):
         """Radiance (N,) that an albedo of 1 scatters towards the camera, for a strength of 1."""
 
     def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """Standard deviation of the error of what was predicted, of its shape; only where `uncertainty` tells it."""
+        """Standard deviation of the error of what was predicted, of its shape; 0 where no network tells it."""
+        return np.zeros_like(predicted)
 
     def light_ahead(self, points: LitPoints) -> np.ndarray | None:
-        """Light (N,) that has scattered and arrives from ahead on the ray, as far as it is known."""
+        """Light (N,) that has scattered and arrives from ahead on the ray; None where it is not known."""
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,19 +181,14 @@ class LightEstimator:
 
 
 @dataclass(frozen=True)
-class EnvironmentEstimator:
+class EnvironmentEstimator(Estimator):
     """Of environments together; an `Estimator`. channels: that are rendered together."""
 
     channels: Sequence[int]
     albedos: Albedos
-    predictor: EnvironmentPredictor
+    predictor: PreparedEnvironment
     uncertainty: UncertaintyNetwork | None = None
     needs_depths = True
-
-    @property
-    def strength(self) -> np.ndarray:
-        """1: its colours are predicted."""
-        return np.ones(3)
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -198,16 +198,12 @@ class EnvironmentEstimator:
     @property
     def coloured(self) -> bool:
         """As of Estimator."""
-        return self.predictor.channels > 1
+        return self.predictor.skies.channels > 1
 
     @property
     def answers(self) -> int:
         """One for each albedo."""
         return len(self.albedos.values)
-
-    def ready(self) -> "EnvironmentEstimator":
-        """As of Estimator."""
-        return self
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance float32 (1 + A, N, C): single scattering, then multiple scattering of each albedo."""
@@ -223,74 +219,9 @@ class EnvironmentEstimator:
             found[True, c], found[False, c] = predicted[0, :, colour], row[:, colour]
         return found
 
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """Not told from point to point."""
-        raise NotImplementedError
-
-    def light_ahead(self, points: LitPoints) -> None:
-        """Not known."""
-
 
 @dataclass(frozen=True)
-class CorrectedEstimator:
-    """Another one with a factor of its light in each colour channel; an `Estimator`. factors: (3,)."""
-
-    inner: Estimator
-    factors: np.ndarray
-
-    @property
-    def strength(self) -> np.ndarray:
-        """(3,), corrected."""
-        return self.inner.strength * self.factors
-
-    @property
-    def quantities(self) -> list[tuple[bool, list[int]]]:
-        """As the other."""
-        return self.inner.quantities
-
-    @property
-    def answers(self) -> int:
-        """As the other."""
-        return self.inner.answers
-
-    def ready(self) -> "CorrectedEstimator":
-        """As of Estimator."""
-        return replace(self, inner=self.inner.ready())
-
-    @property
-    def coloured(self) -> bool:
-        """As the other."""
-        return self.inner.coloured
-
-    @property
-    def needs_depths(self) -> bool:
-        """As the other."""
-        return self.inner.needs_depths
-
-    @property
-    def uncertainty(self) -> UncertaintyNetwork | None:
-        """As the other."""
-        return self.inner.uncertainty
-
-    def predict(self, points: LitPoints) -> np.ndarray:
-        """As the other."""
-        return self.inner.predict(points)
-
-    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
-        """As the other: the strength is what differs."""
-        return self.inner.radiance(predicted, points)
-
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """As the other."""
-        return self.inner.deviation(predicted, points)
-
-    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
-        """As the other."""
-        return self.inner.light_ahead(points)
-
-
-@dataclass(frozen=True)
-class EmissionEstimator:
+class EmissionEstimator(Estimator):
     """Of the light that volumes emit, as one of them scatters it; an `Estimator`. channels: rendered together."""
 
     channels: Sequence[int]
@@ -300,18 +231,9 @@ class EmissionEstimator:
     coloured, needs_depths, answers = True, False, 0
 
     @property
-    def strength(self) -> np.ndarray:
-        """1: its colours are known."""
-        return np.ones(3)
-
-    @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
         """What has scattered, however often."""
         return [(False, [c]) for c in self.channels]
-
-    def ready(self) -> "EmissionEstimator":
-        """As of Estimator."""
-        return self
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance (C, N)."""
@@ -321,10 +243,3 @@ class EmissionEstimator:
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""
         return {(False, c): row for c, row in zip(self.channels, predicted)}
-
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """Not told from point to point."""
-        raise NotImplementedError
-
-    def light_ahead(self, points: LitPoints) -> None:
-        """Not known."""

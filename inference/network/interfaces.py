@@ -2,7 +2,7 @@
 """What the renderer requires of a network, and of a system that takes its place."""
 
 from collections.abc import Sequence
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -82,13 +82,12 @@ class Predictor(Protocol):
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> "PreparedPrediction":
         """What predicts under these conditions. Raises Cancelled."""
 
-
-@runtime_checkable
-class FluencePredictor(Predictor, Protocol):
-    """The predictor of a system that needs ray features."""
-
     def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence | None:
-        """Scattered light of several lights for lookups along camera rays, or None. Raises Cancelled."""
+        """Scattered light of several lights for lookups along camera rays, or None. Raises Cancelled.
+
+        Only asked for by systems that need ray features.
+        """
+        return None
 
 
 class PreparedPrediction(Protocol):

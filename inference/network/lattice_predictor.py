@@ -14,7 +14,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from .conditions import LitConditions, RayPoints
-from .interfaces import PointNetwork
+from .interfaces import PointNetwork, Predictor
 
 
 def density_feature(sigma_hat: np.float32, density: np.ndarray) -> np.ndarray:
@@ -22,7 +22,7 @@ def density_feature(sigma_hat: np.float32, density: np.ndarray) -> np.ndarray:
     return np.log1p(density * np.float32(1.0 / DENSITY_SCALE) * sigma_hat)
 
 
-class LatticePredictor:
+class LatticePredictor(Predictor):
     """Density on RPNN's lattices, for a network that reads it; a `Predictor`.
 
     network: whose `points` are the SunLattice. cube: of the volume. anisotropy: unused, it is that of the training.

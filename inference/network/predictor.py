@@ -23,10 +23,10 @@ from ..transport.scattered_fluence import ScatteredFluence
 from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import ANYWHERE, Bounds, Conditions, PlacedLight, PredictedLight
-from .environment_network import EnvironmentNetwork
-from .interfaces import FluencePredictor, System
+from .environment_network import EnvironmentNetwork, PreparedEnvironment
+from .interfaces import System
 from .placed_lights import PlacedSkies
-from .prepared_predictors import EnvironmentPredictor, NearbyPredictor, PreparedPredictor, RadiancePredictor
+from .prepared_predictors import NearbyPredictor, PreparedPredictor, RadiancePredictor
 from .stencil_predictor import RayPredictor
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight)
@@ -205,7 +205,6 @@ class VolumePredictor:
             if light.albedos and self.transport_share(light) >= 1.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge, albedo=max(light.albedos))
             asked.append(conditions)
-        assert isinstance(self._predictor, FluencePredictor)
         return self._predictor.fluence(asked, tasks)
 
     def prepare_environment(
@@ -215,15 +214,14 @@ class VolumePredictor:
         sigma_t: float,
         bounds: Bounds,
         tasks: AnyTasks = SERIAL,
-    ) -> EnvironmentPredictor:
+    ) -> PreparedEnvironment:
         """What predicts the light of environments for one extinction. Raises Cancelled.
 
         network: beside this one. bounds: of the points to predict at, from `bounds`.
         """
         conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), bounds, NO_OCCLUDERS)
         thickness = max(self.peak_sigma_hat(sigma_t), 1e-30)
-        prepared = self._rays.prepare_environment(network, conditions, thickness, tasks)
-        return EnvironmentPredictor(prepared, self.cube, conditions.light.skies)
+        return self._rays.prepare_environment(network, conditions, thickness, tasks)
 
     def albedos(
         self,

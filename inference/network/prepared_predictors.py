@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Predicted multiple scattering in one volume for one extinction and light, at world positions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from ..grids.working_cube import Cube
-from ..transport.environment_light import Skies
 from .conditions import NearLight, PredictedLight, RayPoints
-from .environment_network import PreparedEnvironment
 from .interfaces import PreparedPrediction
 from .lamp_nearby import LampNearby
 from .prepared_rays import PreparedRays
-from .uncertainty import UncertaintyNetwork
+from .uncertainty import Predicted, UncertaintyNetwork
 
 # Standard deviation of the relative error where the coarse transport takes the network's place, around lamps near a
 # volume or inside it; docs/method-details.md, Compose.
@@ -35,9 +33,7 @@ class RadiancePredictor(Protocol):
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """Radiance float32 (A, N) at points of the world, for A albedos."""
 
-    def deviation(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
 
         radiance: (N,), of each of A albedos, as `predict` gives it for these points.
@@ -75,15 +71,11 @@ class PreparedPredictor:
         scale = np.float32(min(1.0 / self.used, 1.0))
         return np.minimum(radiance * asked.irradiance, bound).astype(np.float32) * scale
 
-    def deviation(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """As of RadiancePredictor."""
         return np.hypot(self.within(network, points, radiance), np.float32(self.outside))
 
-    def within(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
+    def within(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """As `deviation`, of a medium within the trained range."""
         # Only for these a network tells it.
         assert isinstance(self.prediction, PreparedRays)
@@ -133,30 +125,10 @@ class NearbyPredictor:
             found += (1.0 - nearby.share) * self.network.predict(points, albedos)
         return found
 
-    def deviation(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """As of RadiancePredictor."""
         share = self.nearby.share
         found = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
         if self.network is not None:
             found += np.float32(1.0 - share) * self.network.within(network, points, radiance)
         return np.hypot(found, np.float32(self.outside))
-
-
-@dataclass(frozen=True)
-class EnvironmentPredictor:
-    """A VolumePredictor for one extinction and the light of environments. Immutable."""
-
-    prediction: PreparedEnvironment
-    cube: Cube
-    skies: Skies
-
-    @property
-    def channels(self) -> int:
-        """Channels of the light: 1 if it is grey, else 3."""
-        return self.skies.channels
-
-    def predict(self, points: RayPoints, along: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
-        """As `PreparedEnvironment.predict`, at points of the world."""
-        return self.prediction.predict(points.in_cube(self.cube), along, self.skies.shares(points.positions), albedos)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What networks of kind "ray" predict from at points, in the light of one sun or lamp."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from ..features.stencil import frames
 from ..transport.scattered_fluence import PROBES, FluenceLattice
 from .conditions import PredictedLight, RayPoints
 from .interfaces import PointNetwork
-from .uncertainty import UncertaintyNetwork, deviations
+from .uncertainty import Predicted, UncertaintyNetwork, deviations
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,7 @@ class PreparedRays:
             return np.zeros((len(albedos), len(points)), np.float32)
         return self.network.run(**self._inputs(points), albedo=albedos)
 
-    def deviation(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
 
         radiance: (N,), of each of A albedos, as `predict` gives it for these points.

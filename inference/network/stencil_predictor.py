@@ -45,7 +45,7 @@ from ..transport.varying_albedo import CoarseAlbedo
 from .conditions import Bounds, Conditions, LitConditions, PlacedLight, RayPoints
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import PointNetwork, PreparedPrediction
+from .interfaces import PointNetwork, Predictor, PreparedPrediction
 from .lamp_nearby import MIN_ALBEDO, LampNearby
 from .placed_lights import PlacedSkies
 from .prepared_rays import PreparedRays
@@ -54,7 +54,7 @@ from .prepared_rays import PreparedRays
 MAX_LATTICES = 128
 
 
-class StencilPredictor:
+class StencilPredictor(Predictor):
     """Density, transmittance and phase function at the stencil, for a network that reads them; a `Predictor`.
 
     network: whose `points` are the Stencil. cube: of the volume. Safe on several
@@ -152,7 +152,7 @@ class _Solved:
 class RayPredictor(StencilPredictor):
     """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
 
-    A `FluencePredictor`; arguments as for StencilPredictor.
+    Arguments as for StencilPredictor.
     """
 
     needs_ray_features = True
@@ -222,17 +222,19 @@ class RayPredictor(StencilPredictor):
             depths, (light, absorbed) = self._depths, self._environment[1]
         lookup = FieldLookup(self.network.points, lattices, conditions.light.direction)
         return PreparedEnvironment(
-            network,
-            lookup,
-            len(self.network.points.low),
-            depths,
-            light,
-            absorbed,
-            direction_radiance(skies.image).astype(np.float32),
-            blurred(skies.image, blurs(self.anisotropy)),
-            conditions.sigma_hat,
-            thickness,
-            self.anisotropy,
+            network=network,
+            cube=self.cube,
+            skies=skies,
+            lookup=lookup,
+            low=len(self.network.points.low),
+            depths=depths,
+            light=light,
+            absorbed=absorbed,
+            radiance=direction_radiance(skies.image).astype(np.float32),
+            blurred=blurred(skies.image, blurs(self.anisotropy)),
+            sigma_hat=conditions.sigma_hat,
+            thickness=thickness,
+            anisotropy=self.anisotropy,
         )
 
     def _density_lattices(self, conditions: Conditions[PlacedLight], tasks: AnyTasks) -> Lattices:

@@ -104,7 +104,7 @@ def test_training_and_rendering_read_the_same(folder):
             environment = Environment(np.repeat(image[..., None], 3, axis=2))
             sigma = float(sigma_hat) / predictor.cube.edge
             prepared = predictor.prepare_environment(network, [environment], sigma, bounds)
-            assert prepared.channels == 1
+            assert prepared.skies.channels == 1
             positions = predictor.cube.centre + predictor.cube.edge * d["position"][own] @ predictor.cube.rotation.T
             directions = d["omega"][own] @ predictor.cube.rotation.T
             found = prepared.predict(RayPoints(positions, directions), d["along"][own], [1.0])[..., 0]
