@@ -5,7 +5,6 @@ import numpy as np
 
 from .image.context import RenderContext
 from .plan.lights import LAMP_MODELS
-from .plan.plan import make_plan
 from .points.group_radiance import GroupRadiance
 from .render import prepare_scene
 from .render_cache import RenderCache
@@ -45,9 +44,8 @@ def predict_multiple(
         raise SceneError(f"{light.name}: the network {model} knows suns alone")
     settings, report = Settings(model=model, threads=1), Report()
     with Tasks(settings.threads) as tasks:
-        plan = make_plan([(volume, medium)], [light], _NO_IMAGE, settings)
         context = RenderContext(settings, RenderCache(), tasks, Progress(None), report)
-        scene = prepare_scene(context, plan, _NO_IMAGE)
+        scene = prepare_scene(context, [(volume, medium)], [light], _NO_IMAGE)
         for channels in scene.plan.channels:
             for g, _ in scene.predicted(channels):
                 result += GroupRadiance(context, scene, g, channels)(positions, directions).T

@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from .grids.bound_medium import scattering_channels
+from .grids.grid import Grid
+from .grids.sun_optical_depth import SunOpticalDepth
 from .image.camera_pass import march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_correction import correct_environments
@@ -23,15 +25,15 @@ from .image.work_estimate import WorkEstimate
 from .kernels.library import load_kernels
 from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
-from .marching.lamp_in_media import enclosed_warnings
+from .marching.lamp_in_media import LampInMedia, enclosed_warnings
 from .marching.marcher import Marcher
 from .marching.ray_march import MarchOptions
 from .network.interfaces import System
 from .occluders.depth_buffer import DepthBuffer
-from .occluders.occluders import NO_OCCLUDERS, find_occluders, select_suns
+from .occluders.occluders import NO_OCCLUDERS, Occluders, find_occluders
 from .occluders.seen_surfaces import vantage
 from .plan.lights import without_lamps
-from .plan.plan import Channels, Plan, make_plan
+from .plan.plan import Channels, Plan, decide, plan_tiles, see_sky, sort_lights, sort_scene
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
 from .runtime.cancellation import CancelToken
@@ -104,12 +106,11 @@ def _finished_parts(
     report = Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            plan = make_plan(volumes, lights, camera, settings, surfaces=surfaces)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache(any_view=False)
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
-            scene = prepare_scene(context, plan, camera, surfaces)
+            scene = prepare_scene(context, volumes, lights, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             yield from _render_passes(context, scene, framebuffer)
@@ -117,7 +118,7 @@ def _finished_parts(
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))
     report.count("suns", len(scene.plan.suns))
-    report.count("environments", len(scene.plan.environments))
+    report.count("environments", len(scene.environments))
     report.count("lamps", len(scene.plan.lamps))
     report.count("suns left out", max(len(Families.of(lights).suns) - len(scene.plan.suns), 0))
     report.saved = estimated_savings(report, scene.plan, settings)
@@ -232,64 +233,48 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
 
 
 def prepare_scene(
-    context: RenderContext, plan: Plan, camera: Camera, surfaces: Sequence[Surface] = ()
+    context: RenderContext,
+    volumes: Sequence[tuple[Volume, Medium]],
+    lights: Sequence[Light],
+    camera: Camera,
+    surfaces: Sequence[Surface] = (),
 ) -> PreparedScene:
-    """Everything of a planned scene that does not depend on the colour channel. Raises SceneError and Cancelled."""
-    network = _load_network(context, plan)
+    """Plan a scene and prepare what does not depend on the colour channel: the stages up to the coarse transport.
+
+    Raises SceneError and Cancelled.
+    """
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
-    report.warnings += plan.linking_warnings()
-    voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
-    context.progress.expect("shadows", sum(voxels) * len(plan.suns))
+    asked = sort_scene(volumes, lights, surfaces)
+    placed = sort_lights(asked, see_sky(asked, camera, cancel), settings)
+    # Memory is refused before any is taken.
+    plan_tiles(asked, placed, placed.suns, camera, settings)
     with report.stage("shadows"):
-        grids = cache.grids([volume for volume, _ in plan.volumes], cancel)
-    depth_buffer, occluders = None, NO_OCCLUDERS
+        grids = cache.grids([volume for volume, _ in asked.volumes], cancel)
     with report.stage("surfaces"):
         covering = [surface for surface in surfaces if surface.covers]
-        if covering and camera.projection != "equirectangular":
-            depth_buffer = DepthBuffer(covering, camera, cancel)
+        ends = covering and camera.projection != "equirectangular"
+        depth_buffer = DepthBuffer(covering, camera, cancel) if ends else None
+        occluders, lit = NO_OCCLUDERS, list(range(len(placed.suns)))
         if grids:
             corners = np.concatenate([grid.corners() for grid in grids])
-            occluders, lit = find_occluders(surfaces, plan.suns, corners, cancel)
-            if len(lit) < len(plan.suns) and "needless_suns" in plan.optimizations:
-                plan, occluders = plan.with_suns(lit), select_suns(occluders, lit or [0], corners)
-    with report.stage("shadows"), context.progress.stage("shadows"):
-        sun_depths = []
-        for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
-            context.progress.message(f"shadows of {volume.name}")
-            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], cancel))
-            context.progress.advance("shadows", count * len(plan.suns))
-    with report.stage("shadows"):
-        context.progress.message("shadows of lamps")
-        lamps = cache.lamps(plan.lamps, grids, surfaces, cancel) if grids else []
-        if plan.predicts_lamps:
-            for lamp in lamps:
-                report.warnings += enclosed_warnings(lamp, plan.volumes)
-    see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
+            drop_dark = "needless_suns" in settings.leave_out
+            occluders, lit = find_occluders(surfaces, placed.suns, corners, drop_dark, cancel)
+    plan = decide(scene=asked, lights=placed, lit=lit, camera=camera, settings=settings)
+    report.warnings += plan.linking_warnings()
+    sun_depths, lamps = _shadows(context, plan, grids, surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]
-    extended_lights = ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None
+    see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
+    network = _load_network(context, plan)
     cache.keep_groups((1 + (plan.reflects or bool(plan.sky))) * len(plan.groups))
     context.progress.message("preparing volumes")
-    with report.stage("fields"):
-        groups = [
-            cache.group(network, plan.members(g), [grids[v] for v in members], g, cancel)
-            if network is not None and plan.multiple[g]
-            else None
-            for g, members in enumerate(plan.groups)
-        ]
-    for g, group in enumerate(groups):
-        channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
-        if group is not None and channels is not None:
-            sigma_t = float(group.medium.sigma_t[channels.indices[0]])
-            report.warnings += group.predictor.warnings(group.volume.name, group.medium, sigma_t, occluders)
-    environment = None
-    if (plan.environments or plan.reflects) and any(group is not None for group in groups):
-        with report.stage("network loading"):
-            environment = cache.environment_network(settings.model, settings.provider, cancel)
-    uncertainty = None
+    groups = _groups(context, plan, grids, network, occluders)
+    environment = uncertainty = None
     if network is not None:
         with report.stage("network loading"):
             uncertainty = cache.uncertainty_network(network.name, cancel)
+            if plan.from_everywhere:
+                environment = cache.environment_network(settings.model, settings.provider, cancel)
     scene = PreparedScene(
         plan=plan,
         camera=camera,
@@ -297,24 +282,69 @@ def prepare_scene(
         sun_depths=sun_depths,
         occluders=occluders,
         depth_buffer=depth_buffer,
-        extended_lights=extended_lights,
+        extended_lights=ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None,
         groups=groups,
         network=network,
+        environments=plan.environments,
         environment_network=environment,
         uncertainty_network=uncertainty,
         lamps=lamps,
     )
-    if not plan.reflects and not plan.sky:
-        return scene
-    eye = vantage(surfaces, scene.corners, camera) if scene.grids else None
+    return _with_light_of_surfaces(context, scene, surfaces)
+
+
+def _shadows(
+    context: RenderContext, plan: Plan, grids: Sequence[Grid], surfaces: Sequence[Surface]
+) -> tuple[list[list[SunOpticalDepth]], list[LampInMedia]]:
+    """Optical depths (V, L) towards suns, and the plan's lamps in their places. Raises Cancelled."""
+    voxels = [float(np.prod(volume.density.shape)) for volume, _ in plan.volumes]
+    context.progress.expect("shadows", sum(voxels) * len(plan.suns))
+    with context.report.stage("shadows"), context.progress.stage("shadows"):
+        sun_depths = []
+        for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
+            context.progress.message(f"shadows of {volume.name}")
+            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], context.cancel))
+            context.progress.advance("shadows", count * len(plan.suns))
+    with context.report.stage("shadows"):
+        context.progress.message("shadows of lamps")
+        lamps = context.cache.lamps(plan.lamps, grids, surfaces, context.cancel) if grids else []
+        for lamp in lamps if plan.predicts_lamps else ():
+            context.report.warnings += enclosed_warnings(lamp, plan.volumes)
+    return sun_depths, lamps
+
+
+def _groups(
+    context: RenderContext, plan: Plan, grids: Sequence[Grid], network: System | None, occluders: Occluders
+) -> list[ScatteringGroup | None]:
+    """As of PreparedScene. Raises Cancelled."""
+    groups: list[ScatteringGroup | None] = []
+    with context.report.stage("fields"):
+        for g, members in enumerate(plan.groups):
+            group = None
+            if network is not None and plan.multiple[g]:
+                own = [grids[v] for v in members]
+                group = context.cache.group(network, plan.members(g), own, g, context.cancel)
+                channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
+                if channels is not None:
+                    sigma_t, name = float(group.medium.sigma_t[channels.indices[0]]), group.volume.name
+                    context.report.warnings += group.predictor.warnings(name, group.medium, sigma_t, occluders)
+            groups.append(group)
+    return groups
+
+
+def _with_light_of_surfaces(context: RenderContext, scene: PreparedScene, surfaces: Sequence[Surface]) -> PreparedScene:
+    """The scene with what surfaces emit and throw back, as environments of their own. Raises Cancelled."""
+    plan = scene.plan
+    eye = vantage(surfaces, scene.corners, scene.camera) if scene.grids and (plan.reflects or plan.sky) else None
     if eye is None:
         return scene
     scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
-    with report.stage("surfaces"):
-        others = without_lamps(surfaces, plan.lamps)
-        emitted, returned = surface_light(scene, others, eye, cancel) if plan.reflects else (None, None)
+    if not plan.reflects:
+        return scene
+    with context.report.stage("surfaces"):
+        emitted, returned = surface_light(scene, without_lamps(surfaces, plan.lamps), eye, context.cancel)
     found = [environment for environment in (emitted, returned) if environment is not None]
-    return replace(scene, plan=plan.with_environments(found), thrown_back=returned)
+    return replace(scene, environments=[*plan.environments, *found], thrown_back=returned)
 
 
 def _open_groups(

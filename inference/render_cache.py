@@ -2,9 +2,9 @@
 """Content-keyed cache shared between renders."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid
@@ -22,6 +22,7 @@ from .scene.description import Medium, Surface, Volume
 from .scene.lamps import Lamp
 from .transport.scattered_emission import ScatteredEmission
 
+Loaded = TypeVar("Loaded")
 # Volumes with their media.
 Members = Sequence[tuple[Volume, Medium]]
 
@@ -47,9 +48,7 @@ class RenderCache:
     def __init__(self, any_view: bool = True):
         self.any_view = any_view
         self._lock = threading.Lock()
-        self._networks: dict[tuple[str, str], System] = {}
-        self._environment_networks: dict[tuple[str, str], EnvironmentNetwork] = {}
-        self._uncertainty_networks: dict[str, UncertaintyNetwork] = {}
+        self._networks: dict[Hashable, Any] = {}
         self._grids: list[tuple[Volume, Grid]] = []
         self._lamps: list[tuple[Sequence[Grid], LampInMedia]] = []
         self._mean_depths: dict[tuple[bytes, float], tuple[Grid, MeanLampDepth]] = {}
@@ -59,26 +58,21 @@ class RenderCache:
 
     def network(self, name: str, provider: str, cancel: CancelToken = NEVER) -> System:
         """As `load_network`; loads each network once per provider."""
-        with cancel.locked(self._lock):
-            if (name, provider) not in self._networks:
-                self._networks[name, provider] = load_network(name, provider)
-            return self._networks[name, provider]
+        return self._loaded(load_network, name, provider, cancel=cancel)
 
     def environment_network(self, model: str, provider: str, cancel: CancelToken = NEVER) -> EnvironmentNetwork:
         """As `load_environment_network`; loads each network once per provider."""
-        with cancel.locked(self._lock):
-            if (model, provider) not in self._environment_networks:
-                self._environment_networks[model, provider] = load_environment_network(model, provider)
-            return self._environment_networks[model, provider]
+        return self._loaded(load_environment_network, model, provider, cancel=cancel)
 
     def uncertainty_network(self, model: str, cancel: CancelToken = NEVER) -> UncertaintyNetwork | None:
         """As `load_uncertainty_network`, once; None where none stands beside a network."""
-        if not has_uncertainty(model):
-            return None
+        return self._loaded(load_uncertainty_network, model, cancel=cancel) if has_uncertainty(model) else None
+
+    def _loaded(self, load: Callable[..., Loaded], *names: str, cancel: CancelToken) -> Loaded:
         with cancel.locked(self._lock):
-            if model not in self._uncertainty_networks:
-                self._uncertainty_networks[model] = load_uncertainty_network(model)
-            return self._uncertainty_networks[model]
+            if (load, names) not in self._networks:
+                self._networks[load, names] = load(*names)
+            return self._networks[load, names]
 
     def grids(self, volumes: Sequence[Volume], cancel: CancelToken = NEVER) -> list[Grid]:
         """Grid of each volume."""

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inference.network.conditions import Conditions
+from inference.network.conditions import Conditions, RayPoints
 from inference.network.network import register_system
-from inference.network.ray_points import RayPoints
 from inference.runtime.cancellation import NEVER
 from inference.runtime.tasks import SERIAL
 from inference.scene import SceneError
@@ -74,7 +73,7 @@ class VolumeTracer:
 
     def prepare(self, conditions: Conditions, tasks=SERIAL) -> "PreparedTracer":
         """For one optical thickness and one sun; bounds and surfaces are not used."""
-        return PreparedTracer(self, conditions.sigma_hat * self.edge, self.linear @ conditions.sun)
+        return PreparedTracer(self, conditions.sigma_hat * self.edge, self.linear @ conditions.light.direction)
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ class PreparedTracer:
     volume: VolumeTracer
     sigma: float
     sun: np.ndarray
-    lattice_cells = 0
+    lattice_cells, scale = 0, 1.0
 
     def predict(self, points: RayPoints, albedos) -> np.ndarray:
         """Noisy radiance float32 (A, N), the same for the same points and jitter; ray features are not needed."""

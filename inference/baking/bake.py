@@ -8,7 +8,7 @@ import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
-from ..plan.plan import Channels, last_albedo, make_plan
+from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
 from ..points.group_radiance import GroupRadiance
 from ..render import prepare_scene
@@ -65,12 +65,11 @@ def bake(
             # Without a camera, no surface is known to hide a part of the volumes from it.
             seen = [replace(surface, covers=surface.covers and camera is not None) for surface in surfaces]
             place = _NO_IMAGE if camera is None else replace(camera, resolution=(1, 1), region=None)
-            plan = make_plan(scaled, lights, place, settings, surfaces=seen)
             if cache is None or "unchanged" not in settings.leave_out:
                 cache = RenderCache()
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
-            scene = prepare_scene(context, plan, place, seen)
+            scene = prepare_scene(context, scaled, lights, place, seen)
             lit = _Bake(context, scene, camera).run() if scene.plan.volumes else {}
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
@@ -79,7 +78,7 @@ def bake(
     baked, found = 0, []
     for (volume, _), (original, _) in zip(scaled, volumes):
         # The plan leaves out volumes without light of their own.
-        if baked < len(plan.volumes) and plan.volumes[baked][0] is volume:
+        if baked < len(scene.plan.volumes) and scene.plan.volumes[baked][0] is volume:
             found.append(lit[baked])
             baked += 1
         else:
@@ -146,7 +145,7 @@ class _Bake:
     def _expect(self) -> None:
         """Tell the progress what there is to do."""
         progress, plan = self.context.progress, self.scene.plan
-        lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(plan.environments)
+        lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(self.scene.environments)
         jobs = lights * len(plan.channels)
         wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
         points = sum(wanted)
@@ -155,7 +154,7 @@ class _Bake:
         needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
         progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
         progress.expect("lattices", jobs * len(plan.groups))
-        marched = needs_fluence or bool(plan.environments or plan.lamps)
+        marched = needs_fluence or bool(self.scene.environments or plan.lamps)
         progress.expect("march", 60.0 * points * len(plan.channels) if marched else 0.0)
         progress.expect("network", points * jobs)
 

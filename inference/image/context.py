@@ -59,7 +59,8 @@ class PreparedScene:
     the light of environments, or None. uncertainty_network: that tells the network's error, or None. lamps: of the
     plan, with what lies between them and the volumes. open_groups: as groups, without what surfaces hide from the
     middle of the volumes; empty where they hide nothing.
-    thrown_back: the one of the plan's environments that is the light that surfaces throw back, or None.
+    environments: the plan's, and what surfaces emit and throw back. thrown_back: the one of them that is the latter, or
+    None.
     """
 
     plan: Plan
@@ -71,6 +72,7 @@ class PreparedScene:
     extended_lights: ExtendedLights | None
     groups: list[ScatteringGroup | None]
     network: System | None = None
+    environments: list[Environment] = field(default_factory=list)
     environment_network: EnvironmentNetwork | None = None
     uncertainty_network: UncertaintyNetwork | None = None
     lamps: list[LampInMedia] = field(default_factory=list)

@@ -66,7 +66,7 @@ def _followed(context: RenderContext, scene: PreparedScene) -> bool:
         return False
     if plan.reflects or plan.sky or len(scene.occluders.triangles):
         return False
-    return all(environment.weight is None for environment in plan.environments)
+    return all(environment.weight is None for environment in scene.environments)
 
 
 def _compare(
@@ -88,7 +88,7 @@ def _compare(
     opened = scene.opened(sources[0].group)
     assert opened is not None
     cube = opened.predictor.cube
-    skies = Skies.of(scene.plan.environments, cube.rotation)
+    skies = Skies.of(scene.environments, cube.rotation)
     tracer = PathTracer(media, context.tasks.stopping)
     # Light that scatters too often to be followed, and that of rays on which no path collides, counts as predicted.
     typical = predicted.T / opacity[:, None]

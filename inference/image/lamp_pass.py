@@ -2,7 +2,7 @@
 """Lamps whose light camera rays gather, and pixels within which it varies."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from ..marching.lamp_in_media import LampInMedia
 from ..marching.mean_lamp_depth import MeanLampDepth
 from ..marching.ray_march import LampMarch
 from ..marching.ray_steps import RayBatch
-from ..network.prepared_predictors import LampLight
+from ..network.albedos import Albedos
+from ..network.placed_lights import PlacedLamp
 from ..plan.plan import Channels
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, pixel_size
@@ -49,20 +50,9 @@ def prepare_lamp_march(
                 clusters = scene.plan.lamp_clusters[g]
                 of_part = {k: number for number, cluster in enumerate(clusters) for k in cluster}
                 with context.progress.stage("transport", len(clusters)):
-                    lights = []
-                    for lamp in lamps_of_group(scene, g):
-                        albedos = group.predictor.albedos(
-                            group.medium,
-                            sigma_t,
-                            channels.indices,
-                            lamp,
-                            scene.occluders,
-                            context.tasks,
-                            scene.plan.optimizations,
-                        )
-                        lights.append(LampLight(lamp, scene.lamp_radius, albedos.values))
-                    found = group.predictor.lamp_fluence(sigma_t, lights, scene.occluders, context.tasks)
-                fluence[g] = found.of_parts([of_part[k] for k in range(len(scene.lamps))])
+                    lights = [light for light, _ in placed_lamps(context, scene, channels, g)]
+                    found = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
+                fluence[g] = found and found.of_parts([of_part[k] for k in range(len(scene.lamps))])
     predicted = any(one is not None for one in fluence)
     means = _mean_depths(context, scene, channels, pixels)
     return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius, means)
@@ -76,7 +66,7 @@ def lamps_nearby(scene: PreparedScene, channels: Channels) -> list[LampInMedia]:
         k
         for g, group in scene.predicted(channels)
         for cluster, lamp in zip(scene.plan.lamp_clusters[g], lamps_of_group(scene, g))
-        if group.predictor.transport_share(lamp) >= 1.0
+        if group.predictor.transport_share(PlacedLamp(lamp, group.predictor.cube, scene.lamp_radius)) >= 1.0
         for k in cluster
     ]
     return [scene.lamps[k] for k in sorted(set(near))]
@@ -106,6 +96,20 @@ def _worthwhile(lamp: LampInMedia, medium: BoundMedium, pixels: int) -> bool:
     if grid.density.padded.size > MOST_VOXELS or medium.voxel_thickness > THICKEST_VOXEL:
         return False
     return pixels * CROSSED * max(grid.shape) > grid.density.padded.size * min(grid.occupancy.share(), 1.0)
+
+
+def placed_lamps(
+    context: RenderContext, scene: PreparedScene, channels: Channels, g: int
+) -> list[tuple[PlacedLamp, Albedos]]:
+    """The plan's clusters of lamps for a group of volumes, and the group's albedos in each. Raises Cancelled."""
+    group = scene.groups[g]
+    assert group is not None
+    medium, sigma_t, found = group.medium, float(group.medium.sigma_t[channels.indices[0]]), []
+    for lamp in lamps_of_group(scene, g):
+        light, conditions = PlacedLamp(lamp, group.predictor.cube, scene.lamp_radius), (scene.occluders, context.tasks)
+        asked = group.predictor.albedos(medium, sigma_t, channels.indices, light, *conditions, scene.plan.optimizations)
+        found.append((replace(light, albedos=asked.values), asked))
+    return found
 
 
 def lamps_of_group(scene: PreparedScene, g: int) -> list[PredictedLamp]:

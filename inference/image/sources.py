@@ -12,25 +12,26 @@ from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
 from ..marching.joined_lamps import PredictedLamp
 from ..network.albedos import Albedos
+from ..network.conditions import PredictedLight
 from ..network.estimators import (
-    CorrectedEstimator,
     EmissionEstimator,
     EnvironmentEstimator,
     Estimator,
-    LampEstimator,
+    LightEstimator,
+    LitPoints,
     Quantity,
-    SunEstimator,
+    Turn,
 )
+from ..network.placed_lights import PlacedSkies, PlacedSun
 from ..network.predictor import Bounds, VolumePredictor
-from ..network.prepared_predictors import LampLight
+from ..plan.lights import PredictedSun
 from ..plan.plan import Channels, last_albedo
 from ..render_cache import ScatteringGroup
 from ..scene.camera import Camera
-from ..scene.description import Sun
 from ..scene.environment import Environment
 from ..transport.scattered_fluence import ScatteredFluence
 from .context import ChannelPass, PreparedScene, RenderContext
-from .lamp_pass import lamps_of_group
+from .lamp_pass import placed_lamps
 from .predicted_error import MODELS, SCATTERED_EMISSION, environment_deviation
 
 
@@ -102,7 +103,7 @@ class Source:
         rows = [
             replace(row, scattered=(row.scattered * factors[row.channels[0]]).astype(np.float32)) for row in self.rows
         ]
-        return replace(self, estimator=CorrectedEstimator(self.estimator, factors), rows=rows)
+        return replace(self, rows=rows)
 
     @property
     def channels(self) -> int:
@@ -158,42 +159,60 @@ class AskedGroup:
 
     def suns(self, numbers: Sequence[int]) -> Iterator[Source]:
         """Of suns by number, the parts of a soft one together."""
-        context, scene, predictor = self.context, self.scene, self.group.predictor
-        for one in scene.plan.predicted_suns(numbers):
-            if not scene.plan.lights_group(one.sun, self.number):
-                continue
-            asked = self.sigma_t, one.sun, self.bounds(predictor), scene.occluders, context.tasks
-            estimator = SunEstimator(
-                sun=one.sun,
-                lights=one.parts,
-                shares=one.shares,
-                albedos=self._albedos(one.sun),
-                prepare=functools.partial(predictor.prepare, *asked),
-                turn=EquivalentDirections(self.camera, one.sun, self.group.medium.anisotropy, context.cancel),
-                uncertainty=scene.uncertainty_network,
-                holds=self.holds,
-            )
-            if self.holds:
-                with context.progress.stage("lattices", 1):
-                    context.report.count("cells of lookup fields", estimator.predictor.lattice_cells)
-            context.cancel.check()
-            yield self._source(estimator, self._model_error, lights=self._lights)
+        for one in self.scene.plan.predicted_suns(numbers):
+            if self.scene.plan.lights_group(one.sun, self.number):
+                light = PlacedSun(one.sun, self.group.predictor.cube, self.scene.occluders)
+                anisotropy, cancel = self.group.medium.anisotropy, self.context.cancel
+                asked = self.group.medium, self.sigma_t, self.channels.indices, light, self.scene.occluders
+                yield self._predicted(
+                    light,
+                    self.group.predictor.albedos(*asked, self.context.tasks, self.scene.plan.optimizations),
+                    strength=one.sun.irradiance,
+                    features=functools.partial(features_of_sun, one),
+                    turn=EquivalentDirections(self.camera, one.sun, anisotropy, cancel),
+                )
 
     def lamps(self) -> Iterator[Source]:
         """Of all lamps, those that are predicted as one together."""
+        scene, clusters = self.scene, self.scene.plan.lamp_clusters[self.number]
+        for cluster, (light, albedos) in zip(clusters, placed_lamps(self.context, scene, self.channels, self.number)):
+            if scene.plan.lights_group(scene.plan.lamps[cluster[0]], self.number):
+                yield self._predicted(
+                    light,
+                    albedos,
+                    strength=light.lamp.power,
+                    features=functools.partial(features_of_lamp, light.lamp, cluster),
+                    turn=lambda directions, image: directions,
+                )
+
+    def _predicted(
+        self,
+        light: PredictedLight,
+        albedos: Albedos,
+        *,
+        strength: np.ndarray,
+        features: Callable[[LitPoints], np.ndarray | None],
+        turn: Turn,
+    ) -> Source:
+        """strength, features, turn: as of LightEstimator."""
         context, scene, predictor = self.context, self.scene, self.group.predictor
-        clusters = scene.plan.lamp_clusters[self.number]
-        for cluster, lamp in zip(clusters, lamps_of_group(scene, self.number)):
-            if not scene.plan.lights_group(scene.plan.lamps[cluster[0]], self.number):
-                continue
+        asked = self.sigma_t, light, self.bounds(predictor), scene.occluders, context.tasks
+        estimator = LightEstimator(
+            strength=strength,
+            albedos=albedos,
+            prepare=functools.partial(predictor.prepare, *asked),
+            features=features,
+            turn=turn,
+            uncertainty=scene.uncertainty_network,
+            holds=self.holds,
+        )
+        if self.holds:
             with context.progress.stage("lattices", 1):
-                albedos = self._albedos(lamp)
-                light, bounds = LampLight(lamp, scene.lamp_radius, albedos.values), self.bounds(predictor)
-                prepared = predictor.prepare_lamp(self.sigma_t, light, bounds, scene.occluders, context.tasks)
-            context.report.count("cells of lookup fields", prepared.lattice_cells)
-            context.cancel.check()
-            estimator = LampEstimator(lamp, cluster, albedos, prepared, scene.uncertainty_network)
-            yield self._source(estimator, self._model_error, lights=self._lights, needs_detail=prepared.alone)
+                context.report.count("cells of lookup fields", estimator.predictor.lattice_cells)
+        context.cancel.check()
+        lights = len(scene.plan.suns) + len(scene.plan.lamps)
+        alone = self.holds and estimator.predictor.alone
+        return self._source(estimator, self._model_error, lights=lights, needs_detail=alone)
 
     def environments(self, environments: Sequence[Environment]) -> Source:
         """Of environments together."""
@@ -212,15 +231,11 @@ class AskedGroup:
             self.group.medium,
             self.sigma_t,
             indices,
-            environments,
+            PlacedSkies(environments, opened.predictor.cube),
             tasks=context.tasks,
             optimizations=scene.plan.optimizations,
         )
         return self._source(EnvironmentEstimator(indices, albedos, predictor), environment_deviation)
-
-    @property
-    def _lights(self) -> int:
-        return len(self.scene.plan.suns) + len(self.scene.plan.lamps)
 
     def _model_error(self, albedo: float) -> float:
         return MODELS.get(self.context.settings.model, 0.0)
@@ -241,10 +256,18 @@ class AskedGroup:
             needs_detail=needs_detail,
         )
 
-    def _albedos(self, light: Sun | PredictedLamp) -> Albedos:
-        scene, context = self.scene, self.context
-        asked = self.group.medium, self.sigma_t, self.channels.indices, light
-        return self.group.predictor.albedos(*asked, scene.occluders, context.tasks, scene.plan.optimizations)
+
+def features_of_sun(one: PredictedSun, points: LitPoints) -> np.ndarray | None:
+    """What rays have gathered of a sun at points, float32 (N, COLUMNS); None where they have not."""
+    gathered = points.suns
+    return None if gathered is None else gathered.mean(points.places, points.group, one.parts, one.shares)
+
+
+def features_of_lamp(lamp: PredictedLamp, cluster: Sequence[int], points: LitPoints) -> np.ndarray | None:
+    """As `features_of_sun`, of a cluster of lamps."""
+    shares = lamp.shares(points.positions) if len(cluster) > 1 else np.ones(1)
+    gathered = points.lamps
+    return None if gathered is None else gathered.mean(points.places, points.group, cluster, shares)
 
 
 def rows_of(
@@ -301,7 +324,8 @@ def solve_transport(
                 continue
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             with context.progress.stage("transport", len(joined)):
-                fluence = group.predictor.fluence(sigma_t, [one.sun for one in joined], scene.occluders, context.tasks)
+                lights = [PlacedSun(one.sun, group.predictor.cube, scene.occluders) for one in joined]
+                fluence = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
             found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(suns))])
     return found
 
@@ -335,7 +359,7 @@ def prepare_sources(
             if channel_pass.lamps and plan.predicts_lamps:
                 sources += group.lamps()
         if scene.environment_network is not None and channel_pass.first:
-            sources += [group.environments(plan.environments) for group in groups]
+            sources += [group.environments(scene.environments) for group in groups]
     return sources
 
 

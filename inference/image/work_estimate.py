@@ -30,7 +30,7 @@ class WorkEstimate:
         groups = sum(plan.predicts(g, channels) for channels in plan.channels for g in range(len(plan.groups)))
         suns = groups * (len(plan.predicted_suns()) + len(plan.lamps) * plan.predicts_lamps)
         # Environments are predicted together.
-        self._jobs = suns + groups * bool(plan.environments)
+        self._jobs = suns + groups * bool(scene.environments)
         needs_fluence = scene.network is not None and scene.network.needs_ray_features
         progress.expect("transport", self._jobs if needs_fluence else 0)
         progress.expect("lattices", self._jobs)

@@ -14,10 +14,9 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..scene.phase_function import henyey_greenstein
-from .conditions import Conditions
-from .interfaces import PreparedPrediction
+from .conditions import LitConditions, RayPoints
+from .interfaces import Predictor, PreparedPrediction
 from .network import register_system
-from .ray_points import RayPoints
 
 SINGLE, OCTAVES = "single-scattering", "multi-octave"
 # Wrenninge, Kulla, Lundqvist: "Oz: The Great and Volumetric", 2013: attenuation, contribution and eccentricity of each
@@ -53,25 +52,22 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class BaselinePredictor:
-    """The `FluencePredictor` of a baseline. name: of the baseline."""
+class BaselinePredictor(Predictor):
+    """Of a baseline. name: of the baseline."""
 
     name: str
     anisotropy: float
     respects_surfaces = False
 
-    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
+    def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
         """What predicts for one sun."""
-        return MultiOctave(self.anisotropy, conditions.sun) if self.name == OCTAVES else SingleScattering()
-
-    def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> None:
-        """None: baselines need no scattered light."""
+        return MultiOctave(self.anisotropy, conditions.light.direction) if self.name == OCTAVES else SingleScattering()
 
 
 class SingleScattering:
     """No multiple scattering; a `PreparedPrediction`."""
 
-    lattice_cells = 0
+    lattice_cells, scale = 0, 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N) of zeros."""
@@ -87,7 +83,7 @@ class MultiOctave:
 
     anisotropy: float
     sun: np.ndarray
-    lattice_cells = 0
+    lattice_cells, scale = 0, 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""

@@ -1,38 +1,156 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The conditions under which the multiple scattering of a volume is predicted."""
+"""The conditions under which the multiple scattering of a volume is predicted, and the points that it is asked at."""
 
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from ..grids.working_cube import Cube
 from ..occluders.shadow_map import ShadowMap
-from ..transport.lamp_beam import LampInCube
+from ..runtime.cancellation import NEVER, CancelToken
+from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates
+from ..transport.lamp_beam import CubeCells
+from ..transport.nearby_light import NearbyMedium
+from ..transport.scattered_fluence import FluenceLattice
+
+if TYPE_CHECKING:
+    from .lamp_nearby import LampAtPoints, LampNearby, SoftStart
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
+#: Of the whole working cube.
+ANYWHERE: Bounds = (np.full(3, -0.5), np.full(3, 0.5))
+
+
+class PlacedLight(Protocol):
+    """A light of strength 1 beside a volume's working cube, in whose frame all is given. Immutable."""
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for lights that are alike."""
+
+    @property
+    def any_thickness(self) -> bool:
+        """Whether it is predicted in any optical thickness, not only in the range of the network for suns."""
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector (3,) towards it, which gives the stencil a frame."""
+
+    def source(self, cells: int) -> CellSource:
+        """What lights the coarse transport on so many cells along an edge."""
+
+
+class PredictedLight(PlacedLight, Protocol):
+    """A light that comes to each point from about one direction, which the network for suns predicts."""
+
+    @property
+    def albedos(self) -> Sequence[float]:
+        """Distinct ones of the medium, for which the coarse transport is solved where it alone is the light."""
+
+    @property
+    def shadow_map(self) -> ShadowMap | None:
+        """Of surfaces, for parallel light; or None."""
+
+    def scale(self, fluence: np.ndarray) -> float:
+        """What its scattered light is held over: the brightest cell's fluence is that of a sun of irradiance 1."""
+
+    def irradiance(self, positions: np.ndarray) -> np.ndarray | np.float32:
+        """Irradiance (N,) at world positions (N, 3), without what lies in between."""
+
+    def towards(self, positions: np.ndarray) -> np.ndarray:
+        """Unit vectors (N, 3) to the light from positions (N, 3), or one (3,) that serves all of them."""
+
+    def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> tuple[np.ndarray, float]:
+        """As of LampInCube. Raises Cancelled."""
+
+    @property
+    def near(self) -> "NearLight | None":
+        """The same, if it may be near a volume or inside it."""
+
+
+class NearLight(Protocol):
+    """A light near a volume or inside it, of which the coarse transport is the multiple scattering itself."""
+
+    def transport_share(self, extent: Bounds) -> float:
+        """Share of the coarse transport alone in its multiple scattering in a box, 0 to 1."""
+
+    def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As `transport.nearby_light`. Raises Cancelled."""
+
+    def soft_start(self, sigma_hat: float, density: FluenceLattice) -> "SoftStart | None":
+        """Where the light of a soft falloff starts to be scattered, or None. density: of the coarse cells."""
+
+    def at_points(self, nearby: "LampNearby", positions: np.ndarray, depth: np.ndarray) -> "LampAtPoints":
+        """Unscattered light at world positions (N, 3); depth: optical (N,), of ray features."""
+
+
+AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """One optical thickness and one sun or lamp, in the frame of a volume's working cube.
+class Conditions(Generic[AnyLight]):
+    """One optical thickness and one light, in the frame of a volume's working cube.
 
-    sigma_hat: extinction per unit density times the cube's edge. sun: (3,) unit vector towards it. bounds: lowest and
-    highest (3,) of the points to predict at. shadow_map: of the sun, in the cube's frame, or None. triangles: (T, 3, 3)
-    of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of those that shadow_map and triangles
-    stand for. screen: `Sun.screen_key`. lamp: that takes the sun's place, or None.
+    sigma_hat: extinction per unit density times the cube's edge. bounds: lowest and highest (3,) of the points to
+    predict at. triangles: (T, 3, 3) of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of
+    those that triangles and the light's shadows stand for. albedo: for which the coarse transport alone is the light,
+    None where networks predict it.
     """
 
     sigma_hat: float
-    sun: np.ndarray
-    bounds: Bounds
-    shadow_map: ShadowMap | None = None
+    light: AnyLight
+    bounds: Bounds = ANYWHERE
     triangles: np.ndarray | None = None
     occluders: bytes = b""
-    screen: bytes = b""
-    lamp: LampInCube | None = None
+    albedo: float | None = None
 
     @property
     def bounds_key(self) -> tuple[float, ...]:
         """Equal for conditions with equal lattices of the density."""
         low, high = self.bounds
         return (self.sigma_hat, *low, *high)
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for conditions with equal light in the coarse transport."""
+        return self.sigma_hat, self.light.key, self.occluders, self.albedo
+
+
+#: Of a light that the network for suns predicts.
+LitConditions = Conditions[PredictedLight]
+
+
+@dataclass(frozen=True)
+class RayPoints:
+    """N points along camera rays.
+
+    positions: (N, 3). directions: (N, 3), unit vectors along the rays. jitter: (N, 3) in [-1/2, 1/2), offset of each
+    point's lookups in cells, or None. ray_features: float32 (N, COLUMNS) of `RayFeatures`, None for networks that need
+    none. irradiance: (N,), or the same everywhere, of a light of strength 1, over which the ray features are given.
+    """
+
+    positions: np.ndarray
+    directions: np.ndarray
+    jitter: np.ndarray | None = None
+    ray_features: np.ndarray | None = None
+    irradiance: np.ndarray | np.float32 = np.float32(1.0)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def in_cube(self, cube: Cube) -> "RayPoints":
+        """The same points in the cube's frame, of points of the world."""
+        return replace(self, positions=cube.positions(self.positions), directions=cube.directions(self.directions))
+
+    def thickened(self, factor: float) -> "RayPoints":
+        """The same points with the ray features of so many times the optical thickness.
+
+        Depths are proportional to it, and so is the little light that a thin medium scatters.
+        """
+        ray = self.ray_features
+        if ray is None or factor == 1.0:
+            return self
+        return replace(self, ray_features=np.concatenate([ray[:, :2] * factor, ray[:, 2:] * max(factor, 1.0)], axis=1))

@@ -1,37 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The network for light from everywhere, and what it predicts with in one volume."""
 
-import contextlib
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..features.descriptors import FieldLookup, distinct_rows
-from ..scene.errors import SceneError
+from ..grids.working_cube import Cube
 from ..transport.blurred_environment import read_image
-from ..transport.environment_light import ALBEDOS, read_lattice
+from ..transport.environment_light import ALBEDOS, Skies, read_lattice
 from ..transport.open_depths import OpenDepths
+from .conditions import RayPoints
 from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
-from .provider import open_session
-from .ray_points import RayPoints
-from .weights_file import read_weights
+from .provider import SmallNetwork
 
 # Folder of these networks' weights; each has the name of the network for suns that it stands beside.
 FOLDER = "environment"
 
 
-@dataclass
-class EnvironmentNetwork:
-    """A loaded network. session: of `open_session`. checksum: SHA-256 of its file. lock: held while it runs."""
-
-    session: Any
-    configuration: dict[str, Any]
-    checksum: str
-    lock: contextlib.AbstractContextManager[Any]
+class EnvironmentNetwork(SmallNetwork):
+    """A loaded network."""
 
     def run(self, x: np.ndarray, radiances: np.ndarray, albedos: Sequence[float] | np.ndarray) -> np.ndarray:
         """Radiance float32 (N, 1 + A, C): single scattering, then multiple scattering for each albedo (A,).
@@ -48,29 +37,22 @@ def load_environment_network(model: str, provider: str = "CPU") -> EnvironmentNe
 
     Raises SceneError where the file is missing or damaged.
     """
-    content = read_weights(f"{FOLDER}/{model}")
-    try:
-        opened = open_session(content, provider)
-        configuration = json.loads(opened.session.get_modelmeta().custom_metadata_map["configuration"])
-    except SceneError:
-        raise
-    except Exception as error:  # onnxruntime raises types of its own, all of which mean an unusable file
-        raise SceneError(f"the weights of {model!r} cannot be read ({error}); reinstall the extension") from error
-    return EnvironmentNetwork(opened.session, configuration, hashlib.sha256(content).hexdigest(), opened.lock)
+    return EnvironmentNetwork.load(FOLDER, model, provider)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PreparedEnvironment:
-    """What predicts the light of an environment in one volume, for one optical thickness. Immutable.
+    """What predicts the light of environments in one volume, for one optical thickness. Immutable.
 
-    lookup: of the density at the stencil. low: number of its low-frequency points. depths: what is open to points.
-    light, absorbed: of `solve_environment`, C channels. radiance: (50, S C), of `direction_radiance`, of S skies that
-    reach places differently. blurred: float32 (H, 2H, B, S C).
-    sigma_hat: extinction per unit density times the cube's edge. thickness: the same at the largest density.
-    anisotropy: G.
+    cube: of the volume. skies: the light, S of them of C channels. lookup: of the density at the stencil. low: number
+    of its low-frequency points. depths: what is open to points. light, absorbed: of `solve_environment`. radiance: (50,
+    S C), of `direction_radiance`. blurred: float32 (H, 2H, B, S C). sigma_hat: extinction per unit density times the
+    cube's edge. thickness: the same at the largest density. anisotropy: G.
     """
 
     network: EnvironmentNetwork
+    cube: Cube
+    skies: Skies
     lookup: FieldLookup
     low: int
     depths: OpenDepths
@@ -82,12 +64,13 @@ class PreparedEnvironment:
     thickness: float
     anisotropy: float
 
-    def predict(self, points: RayPoints, along: np.ndarray, shares: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
+    def predict(self, points: RayPoints, along: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
         """Radiance float32 (1 + A, N, C) scattered towards the camera, without the factor of the local albedo.
 
-        Single scattering, then multiple scattering for each of A albedos. points: in the cube's frame. along: (N, 2),
-        optical depth ahead of each point and behind it on its ray. shares: (N, S), of the skies at the points.
+        Single scattering, then multiple scattering for each of A albedos. along: (N, 2), optical depth ahead of each
+        point and behind it on its ray.
         """
+        shares, points = self.skies.shares(points.positions), points.in_cube(self.cube)
         positions, omega = points.positions, points.directions
         first, view = distinct_rows(omega)
         count, channels = len(positions), self.radiance.shape[1] // shares.shape[1]

@@ -12,18 +12,18 @@ from typing import Protocol
 
 import numpy as np
 
-from ..marching.extended_lights import EquivalentDirections
-from ..marching.joined_lamps import PredictedLamp
 from ..marching.ray_features import RayFeatures
-from ..scene.description import Sun
 from ..transport.scattered_emission import ScatteredEmission
 from .albedos import Albedos
-from .prepared_predictors import EnvironmentPredictor, PreparedLampPredictor, PreparedPredictor
-from .ray_points import RayPoints
+from .conditions import RayPoints
+from .environment_network import PreparedEnvironment
+from .prepared_predictors import RadiancePredictor
 from .uncertainty import UncertaintyNetwork
 
 #: A quantity that is told of points: whether light has scattered there for the first time, and a colour channel.
 Quantity = tuple[bool, int]
+#: Gives the directions (N, 3) in which a light sees rays along directions (N, 3), by their places in the image.
+Turn = Callable[[np.ndarray, tuple[np.ndarray, np.ndarray] | None], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,7 @@ class Estimator(Protocol):
     @property
     def strength(self) -> np.ndarray:
         """(3,), what its light is to be multiplied with in each colour channel."""
+        return np.ones(3)
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -90,6 +91,7 @@ class Estimator(Protocol):
 
     def ready(self) -> "Estimator":
         """The same, to be asked on several threads, with all that it reads. Raises Cancelled."""
+        return self
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """What is predicted at points, (A, N, ...), for `radiance` and `deviation`."""
@@ -98,16 +100,36 @@ class Estimator(Protocol):
         """Radiance (N,) that an albedo of 1 scatters towards the camera, for a strength of 1."""
 
     def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """Standard deviation of the error of what was predicted, of its shape; only where `uncertainty` tells it."""
+        """Standard deviation of the error of what was predicted, of its shape; 0 where no network tells it."""
+        return np.zeros_like(predicted)
 
     def light_ahead(self, points: LitPoints) -> np.ndarray | None:
-        """Light (N,) that has scattered and arrives from ahead on the ray, as far as it is known."""
+        """Light (N,) that has scattered and arrives from ahead on the ray; None where it is not known."""
+        return None
 
 
-class _MultipleScattering:
-    """What estimators have in common whose network predicts multiple scattering of several albedos."""
+@dataclass(frozen=True, kw_only=True)
+class LightEstimator:
+    """Of a light that the network for suns predicts; an `Estimator`.
 
+    strength: (3,), irradiance or power. prepare: makes the predictor, for a strength of 1. features: what rays have
+    gathered of the light at points, float32 (N, COLUMNS). turn: in which directions it sees rays. holds: whether the
+    predictor is kept; those with large lookup lattices are made anew each time.
+    """
+
+    strength: np.ndarray
     albedos: Albedos
+    prepare: Callable[[], RadiancePredictor]
+    features: Callable[[LitPoints], np.ndarray | None]
+    turn: Turn
+    uncertainty: UncertaintyNetwork | None = None
+    holds: bool = True
+    coloured = needs_depths = False
+
+    @cached_property
+    def predictor(self) -> RadiancePredictor:
+        """What predicts for a strength of 1."""
+        return self.prepare()
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -119,148 +141,54 @@ class _MultipleScattering:
         """One for each albedo."""
         return len(self.albedos.values)
 
-
-@dataclass(frozen=True)
-class SunEstimator(_MultipleScattering):
-    """Of a sun that may have parts; an `Estimator`.
-
-    lights: numbers of its parts among the suns that rays are marched for. shares: float32 (n,), of the light of each.
-    prepare: makes the predictor. holds: whether it is kept; those with large lookup lattices are made anew each time.
-    turn: in which directions it sees rays.
-    """
-
-    sun: Sun
-    lights: Sequence[int]
-    shares: np.ndarray
-    albedos: Albedos
-    prepare: Callable[[], PreparedPredictor]
-    turn: EquivalentDirections
-    uncertainty: UncertaintyNetwork | None = None
-    holds: bool = True
-    coloured = needs_depths = False
-
-    @cached_property
-    def predictor(self) -> PreparedPredictor:
-        """What predicts for an irradiance of 1."""
-        return self.prepare()
-
-    def ready(self) -> "SunEstimator":
+    def ready(self) -> "LightEstimator":
         """As of Estimator."""
         found = self if self.holds else replace(self, holds=True)
         assert found.predictor is not None
         return found
 
-    @property
-    def strength(self) -> np.ndarray:
-        """Its irradiance."""
-        return self.sun.irradiance
-
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance float32 (A, N) of each albedo."""
         return self.predictor.predict(self._asked(points), self.albedos.values)
 
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""
-        rows = self.albedos.by_channel(predicted, points.positions, self.turn(points.directions, points.image))
-        return {(False, c): row for c, row in rows}
+        return {
+            (False, c): row
+            for c, row in self.albedos.by_channel(
+                predicted, points.positions, self.turn(points.directions, points.image)
+            )
+        }
 
     def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
         """As of Estimator."""
-        return _deviation(self.predictor, self, self._asked(points), predicted)
+        assert self.uncertainty is not None
+        # Several channels may have one albedo.
+        different = dict(zip(self.albedos.values, predicted))
+        found = self.predictor.deviation(self.uncertainty, self._asked(points), different)
+        relative: np.ndarray = found[[list(different).index(albedo) for albedo in self.albedos.values]]
+        return relative * predicted
 
     def light_ahead(self, points: LitPoints) -> np.ndarray | None:
         """As of Estimator."""
-        features = self._features(points)
+        features = self.features(points)
         return None if features is None else features[:, -1]
 
     def _asked(self, points: LitPoints) -> RayPoints:
-        directions = self.turn(points.directions, points.image)
-        return RayPoints(points.positions, directions, points.jitter, self._features(points))
-
-    def _features(self, points: LitPoints) -> np.ndarray | None:
-        if points.suns is None:
-            return None
-        return points.suns.mean(points.places, points.group, self.lights, self.shares)
+        return RayPoints(
+            points.positions, self.turn(points.directions, points.image), points.jitter, self.features(points)
+        )
 
 
 @dataclass(frozen=True)
-class LampEstimator(_MultipleScattering):
-    """Of a lamp, or of several that are predicted as one; an `Estimator`.
-
-    lights: their numbers among the lamps that rays are marched for.
-    """
-
-    lamp: PredictedLamp
-    lights: Sequence[int]
-    albedos: Albedos
-    predictor: PreparedLampPredictor
-    uncertainty: UncertaintyNetwork | None = None
-    coloured = needs_depths = False
-
-    @property
-    def strength(self) -> np.ndarray:
-        """Its power."""
-        return self.lamp.power
-
-    def ready(self) -> "LampEstimator":
-        """As of Estimator."""
-        return self
-
-    def predict(self, points: LitPoints) -> np.ndarray:
-        """Radiance float32 (A, N) of each albedo."""
-        return self.predictor.predict(self._asked(points), self.albedos.values)
-
-    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
-        """As of Estimator."""
-        rows = self.albedos.by_channel(predicted, points.positions, points.directions)
-        return {(False, c): row for c, row in rows}
-
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """As of Estimator."""
-        return _deviation(self.predictor, self, self._asked(points), predicted)
-
-    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
-        """As of Estimator."""
-        return self._features(points)[:, -1]
-
-    def _asked(self, points: LitPoints) -> RayPoints:
-        return RayPoints(points.positions, points.directions, points.jitter, self._features(points))
-
-    def _features(self, points: LitPoints) -> np.ndarray:
-        assert points.lamps is not None
-        shares = self.lamp.shares(points.positions) if len(self.lights) > 1 else np.ones(1)
-        return points.lamps.mean(points.places, points.group, self.lights, shares)
-
-
-def _deviation(
-    predictor: PreparedPredictor | PreparedLampPredictor,
-    estimator: SunEstimator | LampEstimator,
-    points: RayPoints,
-    predicted: np.ndarray,
-) -> np.ndarray:
-    assert estimator.uncertainty is not None
-    # Several channels may have one albedo.
-    albedos = estimator.albedos.values
-    different = dict(zip(albedos, predicted))
-    found = predictor.deviation(estimator.uncertainty, points, different)
-    relative: np.ndarray = found[[list(different).index(albedo) for albedo in albedos]]
-    return relative * predicted
-
-
-@dataclass(frozen=True)
-class EnvironmentEstimator:
+class EnvironmentEstimator(Estimator):
     """Of environments together; an `Estimator`. channels: that are rendered together."""
 
     channels: Sequence[int]
     albedos: Albedos
-    predictor: EnvironmentPredictor
+    predictor: PreparedEnvironment
     uncertainty: UncertaintyNetwork | None = None
     needs_depths = True
-
-    @property
-    def strength(self) -> np.ndarray:
-        """1: its colours are predicted."""
-        return np.ones(3)
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -270,16 +198,12 @@ class EnvironmentEstimator:
     @property
     def coloured(self) -> bool:
         """As of Estimator."""
-        return self.predictor.channels > 1
+        return self.predictor.skies.channels > 1
 
     @property
     def answers(self) -> int:
         """One for each albedo."""
         return len(self.albedos.values)
-
-    def ready(self) -> "EnvironmentEstimator":
-        """As of Estimator."""
-        return self
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance float32 (1 + A, N, C): single scattering, then multiple scattering of each albedo."""
@@ -295,74 +219,9 @@ class EnvironmentEstimator:
             found[True, c], found[False, c] = predicted[0, :, colour], row[:, colour]
         return found
 
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """Not told from point to point."""
-        raise NotImplementedError
-
-    def light_ahead(self, points: LitPoints) -> None:
-        """Not known."""
-
 
 @dataclass(frozen=True)
-class CorrectedEstimator:
-    """Another one with a factor of its light in each colour channel; an `Estimator`. factors: (3,)."""
-
-    inner: Estimator
-    factors: np.ndarray
-
-    @property
-    def strength(self) -> np.ndarray:
-        """(3,), corrected."""
-        return self.inner.strength * self.factors
-
-    @property
-    def quantities(self) -> list[tuple[bool, list[int]]]:
-        """As the other."""
-        return self.inner.quantities
-
-    @property
-    def answers(self) -> int:
-        """As the other."""
-        return self.inner.answers
-
-    def ready(self) -> "CorrectedEstimator":
-        """As of Estimator."""
-        return replace(self, inner=self.inner.ready())
-
-    @property
-    def coloured(self) -> bool:
-        """As the other."""
-        return self.inner.coloured
-
-    @property
-    def needs_depths(self) -> bool:
-        """As the other."""
-        return self.inner.needs_depths
-
-    @property
-    def uncertainty(self) -> UncertaintyNetwork | None:
-        """As the other."""
-        return self.inner.uncertainty
-
-    def predict(self, points: LitPoints) -> np.ndarray:
-        """As the other."""
-        return self.inner.predict(points)
-
-    def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
-        """As the other: the strength is what differs."""
-        return self.inner.radiance(predicted, points)
-
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """As the other."""
-        return self.inner.deviation(predicted, points)
-
-    def light_ahead(self, points: LitPoints) -> np.ndarray | None:
-        """As the other."""
-        return self.inner.light_ahead(points)
-
-
-@dataclass(frozen=True)
-class EmissionEstimator:
+class EmissionEstimator(Estimator):
     """Of the light that volumes emit, as one of them scatters it; an `Estimator`. channels: rendered together."""
 
     channels: Sequence[int]
@@ -372,18 +231,9 @@ class EmissionEstimator:
     coloured, needs_depths, answers = True, False, 0
 
     @property
-    def strength(self) -> np.ndarray:
-        """1: its colours are known."""
-        return np.ones(3)
-
-    @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
         """What has scattered, however often."""
         return [(False, [c]) for c in self.channels]
-
-    def ready(self) -> "EmissionEstimator":
-        """As of Estimator."""
-        return self
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance (C, N)."""
@@ -393,10 +243,3 @@ class EmissionEstimator:
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""
         return {(False, c): row for c, row in zip(self.channels, predicted)}
-
-    def deviation(self, predicted: np.ndarray, points: LitPoints) -> np.ndarray:
-        """Not told from point to point."""
-        raise NotImplementedError
-
-    def light_ahead(self, points: LitPoints) -> None:
-        """Not known."""

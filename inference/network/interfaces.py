@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the renderer requires of a network, and of a system that takes its place."""
 
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -10,8 +11,25 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..transport.scattered_fluence import ScatteredFluence
-from .conditions import Conditions
-from .ray_points import RayPoints
+from .conditions import LitConditions, RayPoints
+
+#: What a network reads points around a point of: a stencil or a lattice.
+Around = TypeVar("Around", covariant=True)
+
+
+class PointNetwork(Protocol[Around]):
+    """A network that predicts from arrays by name. Safe on several threads."""
+
+    @property
+    def name(self) -> str:
+        """As of System."""
+
+    @property
+    def points(self) -> Around:
+        """Points around x that it was trained with."""
+
+    def run(self, **inputs: np.ndarray) -> np.ndarray:
+        """Radiance float32 (A, N), as of `Network.run`."""
 
 
 class System(Protocol):
@@ -50,26 +68,26 @@ class System(Protocol):
         cube: Cube,
         anisotropy: float,
         cancel: CancelToken = NEVER,
-    ) -> Any:
-        """A Predictor for one volume in its working cube. Raises Cancelled."""
+    ) -> "Predictor":
+        """What predicts in one volume in its working cube. Raises Cancelled."""
 
 
 class Predictor(Protocol):
-    """What a system reads of one volume, for any optical thickness and sun. Safe on several threads."""
+    """What a system reads of one volume, for any optical thickness and light. Safe on several threads."""
 
     @property
     def respects_surfaces(self) -> bool:
         """Whether predictions take occluders into account."""
 
-    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedPrediction":
+    def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> "PreparedPrediction":
         """What predicts under these conditions. Raises Cancelled."""
 
+    def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence | None:
+        """Scattered light of several lights for lookups along camera rays, or None. Raises Cancelled.
 
-class FluencePredictor(Predictor, Protocol):
-    """The predictor of a system that needs ray features."""
-
-    def fluence(self, suns: list[Conditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence | None:
-        """Scattered light of several suns for lookups along camera rays, or None. Raises Cancelled."""
+        Only asked for by systems that need ray features.
+        """
+        return None
 
 
 class PreparedPrediction(Protocol):
@@ -78,6 +96,10 @@ class PreparedPrediction(Protocol):
     @property
     def lattice_cells(self) -> int:
         """Cells of the lookup lattices, for the report."""
+
+    @property
+    def scale(self) -> float:
+        """Fluence of the brightest light that has scattered, over that of a sun of irradiance 1."""
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """Multiple-scattered radiance float32 (A, N) for a sun of irradiance 1, without the factor of the local albedo.

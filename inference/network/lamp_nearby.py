@@ -49,9 +49,9 @@ from ..numerics.quadrature import legendre_nodes
 from ..numerics.spherical_harmonics import DEGREES
 from ..scene.phase_function import reduced_anisotropy
 from ..transport.forward_peak import MIN_FORWARD
+from ..transport.lamp_beam import directions_to
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
-from .prepared_rays import directions_to
 
 # Distance from a lamp to the nearest point of a volume, over that to the farthest, up to which the transport alone is
 # its multiple scattering, and from which on it is what networks predict: against photons at a mean cosine of 0.857 the

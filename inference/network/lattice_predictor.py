@@ -3,7 +3,6 @@
 
 import threading
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from ..grids.working_cube import Cube, level0_density
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
-from .conditions import Conditions
-from .ray_points import RayPoints
+from .conditions import LitConditions, RayPoints
+from .interfaces import PointNetwork, Predictor
 
 
 def density_feature(sigma_hat: np.float32, density: np.ndarray) -> np.ndarray:
@@ -23,7 +22,7 @@ def density_feature(sigma_hat: np.float32, density: np.ndarray) -> np.ndarray:
     return np.log1p(density * np.float32(1.0 / DENSITY_SCALE) * sigma_hat)
 
 
-class LatticePredictor:
+class LatticePredictor(Predictor):
     """Density on RPNN's lattices, for a network that reads it; a `Predictor`.
 
     network: whose `points` are the SunLattice. cube: of the volume. anisotropy: unused, it is that of the training.
@@ -35,7 +34,7 @@ class LatticePredictor:
 
     def __init__(
         self,
-        network: Any,
+        network: PointNetwork[SunLattice],
         volume: Volume,
         cube: Cube,
         anisotropy: float,
@@ -51,14 +50,14 @@ class LatticePredictor:
         """The lattice from the floats of a weights file."""
         return SunLattice(values.reshape(POINTS, 3))
 
-    def prepare(self, conditions: Conditions, tasks: AnyTasks = SERIAL) -> "PreparedLattice":
+    def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> "PreparedLattice":
         """What predicts under these conditions; bounds and surfaces are not used. Raises Cancelled."""
         sigma_hat = conditions.sigma_hat
         with tasks.cancel.locked(self._lock):
             if self._features is None or self._features[0] != sigma_hat:
                 features = list(tasks.each(lambda level: density_feature(np.float32(sigma_hat), level), self.density))
                 self._features = sigma_hat, features
-            return PreparedLattice(self.network, self._features[1], np.asarray(conditions.sun, np.float64))
+            return PreparedLattice(self.network, self._features[1], np.asarray(conditions.light.direction, np.float64))
 
 
 @dataclass(frozen=True)
@@ -68,10 +67,10 @@ class PreparedLattice:
     features: density feature of each level. sun: (3,) in the cube's frame.
     """
 
-    network: Any
+    network: PointNetwork[SunLattice]
     features: list[np.ndarray]
     sun: np.ndarray
-    lattice_cells = 0
+    lattice_cells, scale = 0, 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """As PreparedPrediction; ray features are not used."""

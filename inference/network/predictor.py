@@ -2,34 +2,34 @@
 """Predicted multiple scattering in one volume: a network, and what it reads of the volume."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
 from ..grids.working_cube import fit_cube
-from ..marching.joined_lamps import PredictedLamp
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
-from ..scene.description import Medium, Sun, Volume
+from ..scene.description import Medium, Volume
 from ..scene.environment import Environment
 from ..scene.optimizations import ALL
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CELLS
-from ..transport.environment_light import Skies, image_in_frame
-from ..transport.lamp_beam import LampInCube
 from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
 from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
-from .conditions import Bounds, Conditions
-from .environment_network import EnvironmentNetwork
+from .conditions import ANYWHERE, Bounds, Conditions, PlacedLight, PredictedLight
+from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import System
-from .lamp_nearby import transport_share
-from .prepared_predictors import EnvironmentPredictor, LampLight, PreparedLampPredictor, PreparedPredictor
+from .placed_lights import PlacedSkies
+from .prepared_predictors import NearbyPredictor, PreparedPredictor, RadiancePredictor
+from .stencil_predictor import RayPredictor
+
+AnyLight = TypeVar("AnyLight", bound=PlacedLight)
 
 # Points per network call.
 POINTS_PER_TASK = 4096
@@ -65,7 +65,14 @@ class VolumePredictor:
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
         self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         self._lock = threading.Lock()
-        self._last: tuple[tuple[Any, ...], PreparedPredictor] | None = None
+        # The last of each class of light.
+        self._last: dict[type, tuple[Hashable, RadiancePredictor]] = {}
+
+    @property
+    def _rays(self) -> RayPredictor:
+        """What reads the volume for a network that needs ray features."""
+        assert isinstance(self._predictor, RayPredictor)
+        return self._predictor
 
     def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
         """Properties of a medium and of occluders that the network does not support.
@@ -124,7 +131,7 @@ class VolumePredictor:
 
         Means over the axes of its cube.
         """
-        coarse = self._predictor.coarse
+        coarse = self._rays.coarse
         depths = np.concatenate([sigma_t * self.cube.edge * coarse.mean(axis=axis).ravel() for axis in range(3)])
         taken = float(-np.expm1(-depths.astype(np.float64)).mean())
         slabs = np.geomspace(1e-3, 1e3, 200)
@@ -135,53 +142,70 @@ class VolumePredictor:
         self, positions: np.ndarray, normals: np.ndarray, sigma_t: float, albedo: float
     ) -> SurfaceIrradiance:
         """Of world positions (N, 3) with normals (N, 3), by the coarse transport for an extinction and an albedo."""
-        solver = self._predictor.coarser_solver(sigma_t * self.cube.edge, albedo)
+        solver = self._rays.coarser_solver(sigma_t * self.cube.edge, albedo)
         return SurfaceIrradiance(solver, self.cube, positions, normals)
 
     def prepare(
         self,
         sigma_t: float,
-        sun: Sun,
+        light: PredictedLight,
         bounds: Bounds,
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
-    ) -> PreparedPredictor:
-        """What predicts for one extinction and sun.
+    ) -> RadiancePredictor:
+        """What predicts for one extinction and light.
 
         bounds: of the points to predict at, from `bounds`. Raises Cancelled.
         """
-        key = (sigma_t, *sun.direction, sun.screen_key, *bounds[0], *bounds[1], occluders.key)
+        key = (sigma_t, light.key, *light.albedos, *bounds[0], *bounds[1], occluders.key)
         with tasks.cancel.locked(self._lock):
-            if self._last is not None and self._last[0] == key:
-                return self._last[1]
+            if type(light) in self._last and self._last[type(light)][0] == key:
+                return self._last[type(light)][1]
             # Released before preparing a new one.
-            self._last = None
-            prepared = self._predictor.prepare(self._conditions(sigma_t, sun, bounds, occluders), tasks)
-            peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
-            found = PreparedPredictor(
-                prepared,
-                self.cube,
-                self.network.albedo_range,
-                self._used(sigma_t),
-                np.float32(MAX_FLUENCE * peak),
-                self.outside(sigma_t),
-            )
-            self._last = key, found
+            self._last.pop(type(light), None)
+            conditions = self._conditions(sigma_t, light, bounds, occluders)
+            share, network = self.transport_share(light), None
+            if share < 1.0:
+                peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
+                network = PreparedPredictor(
+                    prediction=self._predictor.prepare(conditions, tasks),
+                    light=light,
+                    cube=self.cube,
+                    albedo_range=self.network.albedo_range,
+                    used=self._used(sigma_t),
+                    most=np.float32(MAX_FLUENCE * peak),
+                    outside=self.outside(sigma_t),
+                )
+            found: RadiancePredictor | None = network
+            if light.near and share > 0.0:
+                conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
+                nearby = self._rays.nearby(conditions, light.albedos, share, self.extent(), tasks)
+                found = NearbyPredictor(
+                    nearby=nearby, light=light.near, cube=self.cube, network=network, outside=self.outside(sigma_t)
+                )
+            assert found is not None
+            self._last[type(light)] = key, found
             return found
 
     def fluence(
         self,
         sigma_t: float,
-        suns: Sequence[Sun],
+        lights: Sequence[PredictedLight],
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence | None:
-        """Scattered light of suns for lookups along camera rays.
+        """Scattered light of lights for lookups along camera rays. Raises Cancelled.
 
-        Only for networks that need ray features. Raises Cancelled.
+        That which networks read, for albedo 1; where they do not predict it, that for the largest albedo. Only for
+        networks that need ray features.
         """
-        anywhere = np.full(3, -0.5), np.full(3, 0.5)
-        return self._predictor.fluence([self._conditions(sigma_t, sun, anywhere, occluders) for sun in suns], tasks)
+        asked = []
+        for light in lights:
+            conditions = self._conditions(sigma_t, light, ANYWHERE, occluders)
+            if light.albedos and self.transport_share(light) >= 1.0:
+                conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge, albedo=max(light.albedos))
+            asked.append(conditions)
+        return self._predictor.fluence(asked, tasks)
 
     def prepare_environment(
         self,
@@ -190,44 +214,33 @@ class VolumePredictor:
         sigma_t: float,
         bounds: Bounds,
         tasks: AnyTasks = SERIAL,
-    ) -> EnvironmentPredictor:
+    ) -> PreparedEnvironment:
         """What predicts the light of environments for one extinction. Raises Cancelled.
 
         network: beside this one. bounds: of the points to predict at, from `bounds`.
         """
-        up = np.array([0.0, 0.0, 1.0])
-        conditions = Conditions(sigma_t * self.cube.edge, up, bounds)
-        skies = Skies.of(environments, self.cube.rotation)
-        prepared = self._predictor.prepare_environment(
-            network, skies, conditions, max(self.peak_sigma_hat(sigma_t), 1e-30), tasks
-        )
-        return EnvironmentPredictor(prepared, self.cube, skies)
+        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), bounds, NO_OCCLUDERS)
+        thickness = max(self.peak_sigma_hat(sigma_t), 1e-30)
+        return self._rays.prepare_environment(network, conditions, thickness, tasks)
 
     def albedos(
         self,
         medium: Medium,
         sigma_t: float,
         indices: Sequence[int],
-        light: Sun | PredictedLamp | Sequence[Environment],
+        light: PlacedLight,
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
         optimizations: frozenset[str] = ALL,
     ) -> Albedos:
         """Albedos of some colour channels of the volume's medium, in a light. Raises Cancelled.
 
-        light: a sun, a lamp, or environments. optimizations: those in use.
+        optimizations: those in use.
         """
         if self.volume.scattering is None or not self.network.needs_ray_features:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
-        anywhere, image = (np.full(3, -0.5), np.full(3, 0.5)), None
-        if isinstance(light, PredictedLamp):
-            conditions = self._lamp_conditions(sigma_t, light, anywhere, occluders)
-        elif isinstance(light, Sun):
-            conditions = self._conditions(sigma_t, light, anywhere, occluders)
-        else:
-            conditions = Conditions(sigma_t * self.cube.edge, np.array([0.0, 0.0, 1.0]), anywhere)
-            image = image_in_frame(light, self.cube.rotation)
-        coarse, places = self._predictor.varying_albedo(conditions, image, tasks)
+        conditions = self._conditions(sigma_t, light, ANYWHERE, occluders)
+        coarse, places = self._rays.varying_albedo(conditions, tasks)
         ahead = self.anisotropy * mean_free_path(coarse.density, conditions.sigma_hat)
         return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
 
@@ -236,80 +249,16 @@ class VolumePredictor:
         """Distance from a lamp, in world units, within which the coarse transport does not tell its light apart."""
         return self.cube.edge / CELLS
 
-    def prepare_lamp(
-        self,
-        sigma_t: float,
-        light: LampLight,
-        bounds: Bounds,
-        occluders: Occluders = NO_OCCLUDERS,
-        tasks: AnyTasks = SERIAL,
-    ) -> PreparedLampPredictor:
-        """What predicts the light of a lamp for one extinction. Raises Cancelled.
+    def transport_share(self, light: PredictedLight) -> float:
+        """Share of the coarse transport alone in a light's multiple scattering, 0 to 1."""
+        return light.near.transport_share(self.extent()) if light.near else 0.0
 
-        bounds: as for `prepare`.
-        """
-        lamp, prepared, nearby = light.lamp, None, None
-        conditions, share = self._lamp_conditions(sigma_t, lamp, bounds, occluders), self.transport_share(lamp)
-        if share < 1.0:
-            prepared = self._predictor.prepare_lamp(conditions, tasks)
-        if share > 0.0:
-            conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
-            nearby = self._predictor.lamp_nearby(conditions, light.albedos, share, self.extent(), tasks)
-        peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
-        return PreparedLampPredictor(
-            prepared,
-            self.cube,
-            self.network.albedo_range,
-            self._used(sigma_t),
-            np.float32(MAX_FLUENCE * peak),
-            lamp,
-            light.radius,
-            nearby,
-            self.outside(sigma_t),
-        )
-
-    def lamp_fluence(
-        self,
-        sigma_t: float,
-        lights: Sequence[LampLight],
-        occluders: Occluders = NO_OCCLUDERS,
-        tasks: AnyTasks = SERIAL,
-    ) -> ScatteredFluence:
-        """Scattered light of lamps of power 1 for lookups along camera rays. Raises Cancelled.
-
-        That which networks read, for albedo 1; of lamps whose light they do not predict that for the largest albedo.
-        """
-        anywhere, asked = (np.full(3, -0.5), np.full(3, 0.5)), []
-        for light in lights:
-            conditions, albedo = self._lamp_conditions(sigma_t, light.lamp, anywhere, occluders), None
-            if light.albedos and self.transport_share(light.lamp) >= 1.0:
-                conditions, albedo = replace(conditions, sigma_hat=sigma_t * self.cube.edge), max(light.albedos)
-            asked.append((conditions, albedo))
-        return self._predictor.lamp_fluence(asked, tasks)
-
-    def transport_share(self, lamp: PredictedLamp) -> float:
-        """Share of the coarse transport alone in a lamp's multiple scattering, 0 to 1."""
-        return transport_share(self.cube.positions(lamp.centre[None])[0], *self.extent())
-
-    def _lamp_conditions(self, sigma_t: float, lamp: PredictedLamp, bounds: Bounds, occluders: Occluders) -> Conditions:
-        sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
+    def _conditions(
+        self, sigma_t: float, light: AnyLight, bounds: Bounds, occluders: Occluders
+    ) -> Conditions[AnyLight]:
         triangles = self.cube.positions(occluders.triangles) if occluders else None
-        in_cube = LampInCube(lamp.coarse, self.cube, lamp.coarse_shadow_maps, lamp.key, lamp.centre)
-        away = self.cube.directions(in_cube.centre - self.cube.centre)
-        length = np.linalg.norm(away)
-        sun = away / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
-        return Conditions(sigma_hat, sun, bounds, None, triangles, occluders.key, lamp=in_cube)
-
-    def _conditions(self, sigma_t: float, sun: Sun, bounds: Bounds, occluders: Occluders) -> Conditions:
-        sigma_hat = sigma_t * self.cube.edge * self._used(sigma_t)
-        direction = self.cube.directions(sun.direction)
-        if not occluders:
-            return Conditions(sigma_hat, direction, bounds)
-        shadow_map = occluders.shadow_map(sun)
-        if shadow_map is not None:
-            shadow_map = shadow_map.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
-        triangles = self.cube.positions(occluders.triangles)
-        return Conditions(sigma_hat, direction, bounds, shadow_map, triangles, occluders.key, sun.screen_key)
+        sigma_hat = sigma_t * self.cube.edge * (1.0 if light.any_thickness else self._used(sigma_t))
+        return Conditions(sigma_hat, light, bounds, triangles, occluders.key)
 
     def _used(self, sigma_t: float) -> float:
         """Ratio of the optical thickness within the network's range to the true one."""

@@ -1,175 +1,134 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Predicted multiple scattering in one volume for one extinction and light, at world positions."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from ..grids.working_cube import Cube
-from ..marching.joined_lamps import PredictedLamp
-from ..marching.lamp_in_media import softened
-from ..transport.environment_light import Skies
-from .environment_network import PreparedEnvironment
+from .conditions import NearLight, PredictedLight, RayPoints
 from .interfaces import PreparedPrediction
 from .lamp_nearby import LampNearby
-from .prepared_rays import PreparedLampRays
-from .ray_points import RayPoints
-from .uncertainty import UncertaintyNetwork
+from .prepared_rays import PreparedRays
+from .uncertainty import Predicted, UncertaintyNetwork
 
 # Standard deviation of the relative error where the coarse transport takes the network's place, around lamps near a
 # volume or inside it; docs/method-details.md, Compose.
 NEARBY_DEVIATION = 0.08
-# Distance from a lamp within which its light that turned by small angles is not told apart, over that of the transport.
-FORWARD_RADIUS = 0.25
 
 
-@dataclass(frozen=True)
-class PreparedPredictor:
-    """A VolumePredictor for one extinction and sun. Immutable.
-
-    used: ratio of the optical thickness within the network's range to the true one. most: upper bound of the radiance.
-    outside: as of `VolumePredictor.outside`.
-    """
-
-    prediction: PreparedPrediction
-    cube: Cube
-    albedo_range: tuple[float, float]
-    used: float
-    most: np.float32
-    outside: float = 0.0
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices; 0 for networks without any."""
-        return self.prediction.lattice_cells
-
-    def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
-        """Radiance float32 (A, N) at points of the world, for A albedos."""
-        scale = np.float32(min(1.0 / self.used, 1.0))
-        asked = points.in_cube(self.cube).thickened(self.used)
-        radiance = self.prediction.predict(asked, np.clip(albedos, *self.albedo_range))
-        return np.minimum(radiance, self.most) * scale
-
-    def deviation(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
-        """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
-
-        radiance: (N,), of each of A albedos, as `predict` gives it for these points.
-        """
-        prediction: Any = self.prediction
-        found = prediction.deviation(network, points.in_cube(self.cube).thickened(self.used), radiance)
-        return np.hypot(found, np.float32(self.outside))
-
-
-@dataclass(frozen=True)
-class LampLight:
-    """A lamp of power 1 whose light is to be predicted.
-
-    radius: by which its light is softened. albedos: distinct ones of the medium.
-    """
-
-    lamp: PredictedLamp
-    radius: float
-    albedos: Sequence[float]
-
-
-@dataclass(frozen=True)
-class PreparedLampPredictor:
-    """A VolumePredictor for one extinction and lamp, of power 1. Immutable.
-
-    prediction: None where the network is not asked. used, most: as in PreparedPredictor, `most` for an irradiance of 1.
-    radius: by which the lamp's light is softened. nearby: what replaces the network in part or altogether, or None.
-    outside: as of `VolumePredictor.outside`.
-    """
-
-    prediction: PreparedLampRays | None
-    cube: Cube
-    albedo_range: tuple[float, float]
-    used: float
-    most: np.float32
-    lamp: PredictedLamp
-    radius: float
-    nearby: LampNearby | None = None
-    outside: float = 0.0
+class RadiancePredictor(Protocol):
+    """A VolumePredictor for one extinction and one light of strength 1. Immutable."""
 
     @property
     def alone(self) -> bool:
         """Whether the coarse transport alone is the light, which varies along rays as that of a lamp close by."""
-        return self.prediction is None
 
     @property
     def lattice_cells(self) -> int:
         """Cells of the lookup lattices; 0 where there are none."""
-        return self.prediction.lattice_cells if self.prediction else 0
 
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
-        """As PreparedPredictor; the ray features are those of `march_lamps`."""
-        asked, irradiance = points.in_cube(self.cube), self._irradiance(points)
-        if self.nearby is None:
-            return self._of_network(asked, irradiance, albedos)
-        assert points.ray_features is not None
-        # What a spot's cone or an area light's side withholds is no optical depth: nothing scatters forwards there.
-        fluence = self.lamp.fluence(points.positions)
-        given = np.minimum(fluence / np.maximum(self.lamp.reference(points.positions), 1e-30), 1.0)
-        depth = np.maximum(points.ray_features[:, 0] + np.log(np.maximum(given, 1e-30)), 0.0)
-        share, received = self.nearby.share, softened(fluence, FORWARD_RADIUS * self.radius)
-        centre = self.cube.positions(self.lamp.centre[None])[0]
-        light = self.nearby.lit(centre, asked.positions, received, depth)
-        each = [self.nearby.radiance(albedo, asked.positions, asked.directions, light) for albedo in albedos]
-        found = np.stack(each).astype(np.float32)
-        if share < 1.0:
-            found *= share
-            found += (1.0 - share) * self._of_network(asked, irradiance, albedos)
-        return found
+        """Radiance float32 (A, N) at points of the world, for A albedos."""
 
-    def deviation(
-        self, network: UncertaintyNetwork, points: RayPoints, radiance: Mapping[float, np.ndarray]
-    ) -> np.ndarray:
-        """As PreparedPredictor."""
-        share = self.nearby.share if self.nearby else 0.0
-        found = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
-        if share < 1.0:
-            assert self.prediction is not None
-            irradiance = self._irradiance(points)
-            of_sun = {
-                albedo: predicted / np.maximum(irradiance, 1e-30).astype(np.float32)
-                for albedo, predicted in radiance.items()
-            }
-            asked = points.in_cube(self.cube).thickened(self.used)
-            found += np.float32(1.0 - share) * self.prediction.deviation(network, asked, irradiance, of_sun)
-        return np.hypot(found, np.float32(self.outside))
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
+        """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
 
-    def _irradiance(self, points: RayPoints) -> np.ndarray:
-        """Irradiance (N,) at points of the world."""
-        return softened(self.lamp.reference(points.positions), self.radius)
-
-    def _of_network(self, points: RayPoints, irradiance: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
-        """As `predict`, by the network alone; points: in the cube's frame."""
-        assert self.prediction is not None
-        known = np.clip(albedos, *self.albedo_range)
-        radiance = self.prediction.predict(points.thickened(self.used), irradiance, known)
-        # No point scatters more than the most that the brightest of the light can become.
-        bound = self.most * np.maximum(irradiance, self.prediction.scale)
-        scale = min(1.0 / self.used, 1.0)
-        return np.minimum(radiance * irradiance, bound).astype(np.float32) * np.float32(scale)
+        radiance: (N,), of each of A albedos, as `predict` gives it for these points.
+        """
 
 
-@dataclass(frozen=True)
-class EnvironmentPredictor:
-    """A VolumePredictor for one extinction and the light of environments. Immutable."""
+@dataclass(frozen=True, kw_only=True)
+class PreparedPredictor:
+    """What the network predicts; a `RadiancePredictor`.
 
-    prediction: PreparedEnvironment
+    used: ratio of the optical thickness within the network's range to the true one. most: upper bound of the radiance
+    for an irradiance of 1. outside: as of `VolumePredictor.outside`.
+    """
+
+    prediction: PreparedPrediction
+    light: PredictedLight
     cube: Cube
-    skies: Skies
+    albedo_range: tuple[float, float]
+    used: float
+    most: np.float32
+    outside: float
+    alone = False
 
     @property
-    def channels(self) -> int:
-        """Channels of the light: 1 if it is grey, else 3."""
-        return self.skies.channels
+    def lattice_cells(self) -> int:
+        """As of RadiancePredictor."""
+        return self.prediction.lattice_cells
 
-    def predict(self, points: RayPoints, along: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
-        """As `PreparedEnvironment.predict`, at points of the world."""
-        return self.prediction.predict(points.in_cube(self.cube), along, self.skies.shares(points.positions), albedos)
+    def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
+        """As of RadiancePredictor."""
+        asked = self._asked(points)
+        radiance = self.prediction.predict(asked, np.clip(albedos, *self.albedo_range))
+        # No point scatters more than the most that the brightest of the light can become.
+        bound = self.most * np.maximum(asked.irradiance, self.prediction.scale)
+        scale = np.float32(min(1.0 / self.used, 1.0))
+        return np.minimum(radiance * asked.irradiance, bound).astype(np.float32) * scale
+
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
+        """As of RadiancePredictor."""
+        return np.hypot(self.within(network, points, radiance), np.float32(self.outside))
+
+    def within(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
+        """As `deviation`, of a medium within the trained range."""
+        # Only for these a network tells it.
+        assert isinstance(self.prediction, PreparedRays)
+        asked = self._asked(points)
+        irradiance = np.maximum(asked.irradiance, 1e-30).astype(np.float32)
+        of_sun = {albedo: predicted / irradiance for albedo, predicted in radiance.items()}
+        return self.prediction.deviation(network, asked, of_sun)
+
+    def _asked(self, points: RayPoints) -> RayPoints:
+        """Points of the world, as networks are asked at them."""
+        irradiance = self.light.irradiance(points.positions)
+        return replace(points.in_cube(self.cube), irradiance=irradiance).thickened(self.used)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearbyPredictor:
+    """What the coarse transport tells of a light near a volume, in part or altogether; a `RadiancePredictor`.
+
+    network: the other part, None without any. outside: as of `VolumePredictor.outside`.
+    """
+
+    nearby: LampNearby
+    light: NearLight
+    cube: Cube
+    network: PreparedPredictor | None
+    outside: float
+
+    @property
+    def alone(self) -> bool:
+        """As of RadiancePredictor."""
+        return self.network is None
+
+    @property
+    def lattice_cells(self) -> int:
+        """As of RadiancePredictor."""
+        return self.network.lattice_cells if self.network else 0
+
+    def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
+        """As of RadiancePredictor; the ray features are those of `march_lamps`."""
+        assert points.ray_features is not None
+        asked, nearby = points.in_cube(self.cube), self.nearby
+        light = self.light.at_points(nearby, points.positions, points.ray_features[:, 0])
+        each = [nearby.radiance(albedo, asked.positions, asked.directions, light) for albedo in albedos]
+        found = np.stack(each).astype(np.float32)
+        if self.network is not None:
+            found *= nearby.share
+            found += (1.0 - nearby.share) * self.network.predict(points, albedos)
+        return found
+
+    def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
+        """As of RadiancePredictor."""
+        share = self.nearby.share
+        found = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
+        if self.network is not None:
+            found += np.float32(1.0 - share) * self.network.within(network, points, radiance)
+        return np.hypot(found, np.float32(self.outside))

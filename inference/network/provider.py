@@ -2,17 +2,20 @@
 """What runs networks: one of onnxruntime's execution providers, or this project's own evaluation without it."""
 
 import contextlib
+import hashlib
 import importlib
+import json
 import re
 import threading
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from ..onnx.session import Session
 from ..scene.errors import SceneError
+from .weights_file import read_weights
 
 # By the names in Settings. The shipped onnxruntime has CPU alone, and CoreML on macOS.
 PROVIDERS = {
@@ -120,3 +123,26 @@ def _difference(session: Any, processor: Any) -> str:
     found, expected = (one.run(["radiance"], inputs)[0].astype(np.float64) for one in (session, processor))
     error = np.sqrt(((found - expected) ** 2).mean() / (expected**2).mean())
     return "" if error <= TOLERANCE else f"its results differ from the processor's by {error:.1%}"
+
+
+@dataclass
+class SmallNetwork:
+    """A loaded network beside one for suns. session: of `open_session`. checksum: of its file. lock: while it runs."""
+
+    session: Any
+    configuration: dict[str, Any]
+    checksum: str
+    lock: contextlib.AbstractContextManager[Any]
+
+    @classmethod
+    def load(cls, folder: str, model: str, provider: str = "CPU") -> Self:
+        """From a folder of weights; provider: of PROVIDERS. Raises SceneError where the file is missing or damaged."""
+        content = read_weights(f"{folder}/{model}")
+        try:
+            opened = open_session(content, provider)
+            configuration = json.loads(opened.session.get_modelmeta().custom_metadata_map["configuration"])
+        except SceneError:
+            raise
+        except Exception as error:  # onnxruntime raises types of its own, all of which mean an unusable file
+            raise SceneError(f"the weights of {model!r} cannot be read ({error}); reinstall the extension") from error
+        return cls(opened.session, configuration, hashlib.sha256(content).hexdigest(), opened.lock)

@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How far a network's prediction is expected to be from the truth at a point: a small network beside it tells."""
 
-import contextlib
-import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,11 +9,10 @@ import numpy as np
 from ..features.stencil import LAYER_POINTS, SPARSE
 from ..marching import ray_features
 from ..marching.ray_features import MAX_TAU_AHEAD, MAX_TAU_SUN
-from ..scene.errors import SceneError
 from ..scene.phase_function import henyey_greenstein
 from ..transport import scattered_fluence
-from .provider import open_session
-from .weights_file import WEIGHTS, read_weights
+from .provider import SmallNetwork
+from .weights_file import WEIGHTS
 
 # Folder of these networks' weights; each has the name of the network whose error it tells.
 FOLDER = "uncertainty"
@@ -26,6 +21,8 @@ _LAYERS = [count // SPARSE for count in LAYER_POINTS]
 _STARTS, _SIZES = np.cumsum([0, *_LAYERS[:-1]]), np.array(_LAYERS, np.float32)
 # Added before logarithms of densities, light, radiance, and of what an albedo absorbs.
 _LEAST_DENSITY, _LEAST_LIGHT, _LEAST_RADIANCE, _LEAST_ABSORPTION = 3e-4, 1e-4, 1e-6, 1e-3
+#: Radiance (N,) that was predicted for each of A albedos.
+Predicted = Mapping[float, np.ndarray]
 _LOGS = scattered_fluence.PROBES + 1
 #: Columns of `inputs`.
 COLUMNS = len(_LAYERS) + 4 + (ray_features.COLUMNS - 2) + scattered_fluence.COLUMNS + 1 + 5 + 2 + 2 + 1
@@ -62,14 +59,8 @@ def inputs(
     return np.concatenate([layers, np.stack(columns, axis=1)], axis=1).astype(np.float32)
 
 
-@dataclass
-class UncertaintyNetwork:
-    """A loaded network. session: of `open_session`. checksum: SHA-256 of its file. lock: held while it runs."""
-
-    session: Any
-    configuration: dict[str, Any]
-    checksum: str
-    lock: contextlib.AbstractContextManager[Any]
+class UncertaintyNetwork(SmallNetwork):
+    """A loaded network."""
 
     @property
     def typical(self) -> float:
@@ -82,9 +73,7 @@ class UncertaintyNetwork:
             return self.session.run(["deviation"], {"x": x})[0]
 
 
-def deviations(
-    network: UncertaintyNetwork, read: Mapping[str, np.ndarray], radiance: Mapping[float, np.ndarray]
-) -> np.ndarray:
+def deviations(network: UncertaintyNetwork, read: Mapping[str, np.ndarray], radiance: Predicted) -> np.ndarray:
     """Standard deviations float32 (A, N) of the errors of predicted radiance, over it.
 
     read: what the network for suns reads of N points, by name. radiance: (N,), predicted for each of A albedos.
@@ -105,12 +94,4 @@ def has_uncertainty(model: str) -> bool:
 
 def load_uncertainty_network(model: str) -> UncertaintyNetwork:
     """The network beside one for suns; it runs on the processor. Raises SceneError where the file is damaged."""
-    content = read_weights(f"{FOLDER}/{model}")
-    try:
-        opened = open_session(content, "CPU")
-        configuration = json.loads(opened.session.get_modelmeta().custom_metadata_map["configuration"])
-    except SceneError:
-        raise
-    except Exception as error:  # onnxruntime raises types of its own, all of which mean an unusable file
-        raise SceneError(f"the weights of {model!r} cannot be read ({error}); reinstall the extension") from error
-    return UncertaintyNetwork(opened.session, configuration, hashlib.sha256(content).hexdigest(), opened.lock)
+    return UncertaintyNetwork.load(FOLDER, model)

@@ -55,11 +55,16 @@ NO_OCCLUDERS = Occluders([], None, np.zeros((0, 3, 3)), [])
 
 
 def find_occluders(
-    surfaces: Sequence[Surface], suns: Sequence[Sun], corners: np.ndarray, cancel: CancelToken = NEVER
+    surfaces: Sequence[Surface],
+    suns: Sequence[Sun],
+    corners: np.ndarray,
+    drop_dark: bool = True,
+    cancel: CancelToken = NEVER,
 ) -> tuple[Occluders, list[int]]:
     """Occluders of the light in volumes, and the numbers of the suns that surfaces do not block entirely.
 
-    corners: (8 B, 3) of the boxes of B volumes. Raises Cancelled.
+    corners: (8 B, 3) of the boxes of B volumes. drop_dark: whether to leave out the other suns; one remains in the
+    Occluders even if all are blocked. Raises Cancelled.
     """
     boxes = corners.reshape(-1, 8, 3)
     shading = [surface for surface in surfaces if surface.shades]
@@ -70,7 +75,11 @@ def find_occluders(
         maps = [ShadowMap([*triangles, screen], sun.direction, corners, cancel) for sun, screen in zip(suns, screens)]
     if not any(shadow_map.shades(boxes) for shadow_map in maps):
         maps = []
-    visible = [n for n in range(len(suns)) if not (maps and maps[n].darkens(boxes))]
+    lit = [n for n in range(len(suns)) if not (drop_dark and maps and maps[n].darkens(boxes))]
+    if len(lit) < len(suns):
+        suns, maps = [suns[n] for n in lit or [0]], [maps[n] for n in lit or [0]]
+        if not any(shadow_map.shades(boxes) for shadow_map in maps):
+            maps = []
     # Only surfaces within the bounds of the volumes: light that has left these does not come back.
     low, high = corners.min(axis=0), corners.max(axis=0)
     ends = [surface.triangles for surface in surfaces if surface.stops and len(surface.triangles)]
@@ -84,16 +93,4 @@ def find_occluders(
         maps or None,
         np.concatenate(ends) if ends else np.zeros((0, 3, 3)),
         [surface.triangles for surface in shading] if maps else [],
-    ), visible
-
-
-def select_suns(occluders: Occluders, numbers: Sequence[int], corners: np.ndarray) -> Occluders:
-    """Occluders for the suns with these numbers; corners as for `find_occluders`."""
-    maps = [occluders.shadow_maps[n] for n in numbers] if occluders.shadow_maps else []
-    shaded = any(shadow_map.shades(corners.reshape(-1, 8, 3)) for shadow_map in maps)
-    return Occluders(
-        [occluders.suns[n] for n in numbers],
-        maps if shaded else None,
-        occluders.triangles,
-        occluders.shading if shaded else [],
-    )
+    ), lit

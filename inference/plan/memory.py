@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimated peak memory of a render, on top of its input."""
 
+from collections.abc import Sequence
+
 from ..numerics.small_matmul import inverse
 from ..scene.description import Sun, Volume
 from ..scene.lamps import Lamp
@@ -32,7 +34,7 @@ IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
 RAY_FEATURE_BYTES = 2 * 4 * 7
 
 
-def grid_bytes(volume: Volume, emits: bool, suns: list[Sun]) -> int:
+def grid_bytes(volume: Volume, emits: bool, suns: Sequence[Sun]) -> int:
     """Bytes of a volume's grid and of its optical depths towards the suns. emits: whether the volume emits light."""
     if not isinstance(volume.density, SparseGrid):
         voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene needs, decided from its description alone."""
+"""What a scene needs: sorted, then decided once what surfaces hide is known."""
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..occluders.seen_surfaces import OpenSky, behind, open_sky, vantage
+from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.environment import Environment
 from ..scene.errors import SceneError
 from ..scene.lamps import Lamp
 from ..scene.light import Families, Light
+from ..scene.mesh_light import MeshLight
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .joined_lamps import joined_lamps
@@ -65,38 +67,52 @@ class Channels:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
-    """The work that a scene requires, and in words what is done and what is skipped.
+class SceneLights:
+    """A scene's lights as they are computed.
 
-    volumes: V pairs of Volume and Medium, scaled into the range of single precision. suns: those that contribute,
-    parallel ones merged. channels: groups of colour channels. groups: G groups of volumes, by number, each of which the
-    network treats as one medium. multiple: (G,), whether a network predicts in a group.
-    scattered_emission: (G,), whether a group scatters light that it emits. planned, left_out: sentences. optimizations:
-    names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows
-    (x0, y0, x1, y1) of the image, each of which one thread renders. environments: light from everywhere, without its
-    peaks. lamps: that emit light. predicts_lamps: whether the network knows lamps. reflects: whether the light
-    that surfaces send into volumes becomes one more environment. sky: the environments as they are without surfaces;
-    empty if none hides any of them. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
-    predicted of at once.
+    suns: those that contribute, parallel ones merged. environments: light from everywhere, without its peaks. sky: the
+    same as they are without surfaces; empty if none hides any of them. skies: as how many different ones places see
+    them. lamps: that emit light. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
+    predicted of at once. predicts_lamps: whether the network knows lamps. reflects: whether the light that surfaces
+    send into volumes becomes one more environment. planned, left_out: sentences.
+    """
+
+    suns: list[Sun]
+    environments: list[Environment]
+    sky: list[Environment]
+    skies: int
+    lamps: list[Lamp]
+    lamp_clusters: list[list[list[int]]]
+    predicts_lamps: bool
+    reflects: bool
+    planned: list[str]
+    left_out: list[str]
+
+    @property
+    def from_everywhere(self) -> bool:
+        """Whether there is light from everywhere."""
+        return bool(self.environments) or self.reflects
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan(SceneLights):
+    """The work that a scene requires, and in words what is done and what is skipped. It never changes.
+
+    volumes: V pairs of Volume and Medium, scaled into the range of single precision. channels: groups of colour
+    channels. groups: G groups of volumes, by number, each of which the network treats as one medium. multiple: (G,),
+    whether a network predicts in a group. scattered_emission: (G,), whether a group scatters light that it emits.
+    optimizations: names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles:
+    windows (x0, y0, x1, y1) of the image, each of which one thread renders.
     """
 
     volumes: list[tuple[Volume, Medium]]
-    suns: list[Sun]
     channels: list[Channels]
     groups: list[list[int]]
     multiple: list[bool]
     scattered_emission: list[bool]
-    planned: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
-    optimizations: frozenset[str] = ALL
-    memory: int = 0
-    tiles: list[tuple[int, int, int, int]] = field(default_factory=list)
-    environments: list[Environment] = field(default_factory=list)
-    lamps: list[Lamp] = field(default_factory=list)
-    predicts_lamps: bool = True
-    reflects: bool = False
-    sky: list[Environment] = field(default_factory=list)
-    lamp_clusters: list[list[list[int]]] = field(default_factory=list)
+    optimizations: frozenset[str]
+    memory: int
+    tiles: list[tuple[int, int, int, int]]
 
     def members(self, group: int) -> list[tuple[Volume, Medium]]:
         """Volume and Medium of each volume in a group."""
@@ -141,20 +157,6 @@ class Plan:
         """Whether lookup lattices are built for the points of the view alone."""
         return sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.tiles) <= VIEW_PIXELS
 
-    def with_environments(self, environments: Sequence[Environment]) -> "Plan":
-        """The plan with more environments."""
-        return replace(self, environments=[*self.environments, *environments])
-
-    def with_suns(self, numbers: Sequence[int]) -> "Plan":
-        """The plan with only these suns, by number, because surfaces shadow the volumes completely from all others."""
-        # One sun remains even if all are dark; its single scattering is 0.
-        suns = [self.suns[n] for n in numbers] or self.suns[:1]
-        dark = f"{len(self.suns) - len(numbers)} suns: surfaces shadow the volumes from them completely"
-        lit = bool(numbers or self.lamps or self.environments or self.reflects)
-        return replace(
-            self, suns=suns, multiple=[one and lit for one in self.multiple], left_out=[*self.left_out, dark]
-        )
-
 
 def last_albedo(volume: Volume, medium: Medium) -> np.ndarray:
     """(3,) factor of the scattering that rays gather in a volume: its albedo, unless they have read it from a grid."""
@@ -187,15 +189,6 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
     return merged
 
 
-def _sky(volumes: Sequence[tuple[Volume, Medium]], camera: Camera, surfaces: Sequence[Surface]) -> list[OpenSky]:
-    """As `open_sky`, of the volumes, from where the camera sees them."""
-    if not volumes:
-        return []
-    corners = np.concatenate([_corners(volume) for volume, _ in volumes])
-    eye = vantage(surfaces, corners, camera)
-    return [] if eye is None else open_sky(surfaces, corners, eye)
-
-
 def _corners(volume: Volume) -> np.ndarray:
     """Corners (8, 3) of a volume's box in the world."""
     ends = [(-0.5, n - 0.5) for n in volume.density.shape]
@@ -226,17 +219,33 @@ def make_tiles(window: tuple[int, int, int, int], bands: int) -> list[tuple[int,
     return [(left, top, right, bottom) for top, bottom in spans(y0, y1) for left, right in spans(x0, x1)]
 
 
-def make_plan(
-    volumes: Sequence[tuple[Volume, Medium]],
-    lights: Sequence[Light],
-    camera: Camera,
-    settings: Settings,
-    parallel: str = "",
-    surfaces: Sequence[Surface] = (),
-) -> Plan:
-    """Decide what to render; parallel: why environments are computed as suns, "" if only surfaces may be why.
+@dataclass(frozen=True, kw_only=True)
+class SortedScene:
+    """What of a scene is rendered, and what lights any of it.
 
-    Raises SceneError if there is nothing to render, if a grid is invalid and if the memory limit is too small.
+    volumes, groups: as of Plan. lights: of all kinds. glowing: surfaces that are lamps. planned, left_out: sentences.
+    """
+
+    volumes: list[tuple[Volume, Medium]]
+    groups: list[list[int]]
+    lights: list[Light]
+    surfaces: Sequence[Surface]
+    glowing: list[MeshLight]
+    planned: list[str]
+    left_out: list[str]
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Corners (N, 3) of the volumes' boxes in the world."""
+        return np.concatenate([_corners(volume) for volume, _ in self.volumes])
+
+
+def sort_scene(
+    volumes: Sequence[tuple[Volume, Medium]], lights: Sequence[Light], surfaces: Sequence[Surface] = ()
+) -> SortedScene:
+    """Sort what is rendered from what is not.
+
+    Raises SceneError if there is nothing to render, and if a grid is invalid.
     """
     if not volumes:
         raise SceneError("there is no volume to render")
@@ -251,15 +260,40 @@ def make_plan(
             left_out.append(f"{volume.name}: its extinction is 0")
         elif not volume.density.max() > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
-    names = [volume.name for volume, _ in rendered] + _reflecting(surfaces)
-    lights = linked_lights(lights, names, left_out)
-    groups, _ = overlapping(rendered)
+    names = [volume.name for volume, _ in rendered]
+    names += [surface.name for surface in surfaces if surface.reflectance.any()]
+    glowing = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
+    return SortedScene(
+        volumes=rendered,
+        groups=overlapping(rendered)[0],
+        lights=linked_lights([*lights, *glowing], names, left_out),
+        surfaces=surfaces,
+        glowing=glowing,
+        planned=planned,
+        left_out=left_out,
+    )
+
+
+def see_sky(scene: SortedScene, camera: Camera, cancel: CancelToken = NEVER) -> list[OpenSky]:
+    """As `open_sky`, of the volumes, from where the camera sees them; empty where no surface hides an environment.
+
+    Raises Cancelled.
+    """
+    if not (scene.surfaces and scene.volumes and Families.of(scene.lights).environments):
+        return []
+    eye = vantage(scene.surfaces, scene.corners, camera)
+    return [] if eye is None else open_sky(scene.surfaces, scene.corners, eye, cancel)
+
+
+def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings) -> SceneLights:
+    """As what lights are computed; skies: of `see_sky`."""
+    planned: list[str] = []
+    left_out: list[str] = []
     unhidden: list[Environment] = []
-    skies: list[OpenSky] = []
-    if surfaces and not parallel and Families.of(lights).environments:
-        skies = _sky(rendered, camera, surfaces)
-        parallel = "" if skies else SURFACES_SHADOW
-    suns, environments = split_lights(lights, settings, parallel, planned, left_out)
+    surfaces = scene.surfaces
+    suns, environments = split_lights(
+        scene.lights, settings, SURFACES_SHADOW if surfaces and not skies else "", planned, left_out
+    )
     if surfaces and environments:
         seen = "the middle of the volumes sees it" if len(skies) == 1 else f"{len(skies)} places in the volumes see it"
         planned += [f"{environment.name}: as {seen}" for environment in environments]
@@ -268,21 +302,22 @@ def make_plan(
     # Surfaces shadow each part of a soft sun differently.
     if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
         suns = [replace(sun, part_of=None) for sun in suns]
-    merged, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(lights).lamps, left_out)
-    glowing = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
-    lamps += linked_lights(glowing, names, left_out)
+    suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
+    others: list[Sun | Environment] = [*suns, *environments]
     if "faint_lamps" in settings.leave_out:
-        boxes = {volume.name: _corners(volume) for volume, _ in rendered}
-        lamps = without_faint(lamps, [*merged, *environments], boxes, left_out)
-    joined = predicted_suns(merged)
+        boxes = {volume.name: _corners(volume) for volume, _ in scene.volumes}
+        lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
         f"{len(one.parts) - 1} of {len(one.parts)} predictions of {one.sun.name}: one for all of its parts"
-        for one in joined
+        for one in predicted_suns(suns)
         if len(one.parts) > 1
     ]
     predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
-    clusters = _lamp_clusters(rendered, groups, lamps, [*merged, *environments], settings)
+    clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
+    if "distant_lamps" in settings.leave_out:
+        members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
+        clusters = [joined_lamps(lamps, others, {own.name: _corners(own) for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     if predicts_lamps:
@@ -291,77 +326,111 @@ def make_plan(
             for found in clusters
             if len(found) < len(lamps)
         ]
-    channels = _channel_groups(rendered, settings)
-    if len(channels) == 1:
-        left_out.append("two of three colour channels: extinction is grey")
-    multiple, scattered_emission = [], []
-    reflects = reflects_light(without_lamps(surfaces, glowing), settings, planned, left_out)
-    from_everywhere = bool(environments) or reflects
-    for group in groups:
-        members = [rendered[v] for v in group]
-        linked = linking([*merged, *(lamps if predicts_lamps else ())], [volume.name for volume, _ in members])
-        lit = from_everywhere or bool(linked.any())
-        predicted, scattered = _plan_group(members, lit, settings, planned, left_out)
-        # The network for environments predicts their single scattering, too.
-        predicted |= from_everywhere and _scatters(members, settings)
-        multiple.append(predicted)
-        scattered_emission.append(scattered)
+    return SceneLights(
+        suns=suns,
+        environments=environments,
+        lamps=lamps,
+        lamp_clusters=clusters,
+        predicts_lamps=predicts_lamps,
+        reflects=reflects_light(without_lamps(surfaces, scene.glowing), settings, planned, left_out),
+        sky=unhidden,
+        skies=len(skies),
+        planned=planned,
+        left_out=left_out,
+    )
 
-    memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), merged) for volume, medium in rendered)
-    memory += sum(len(group) > 1 for group in groups) * MERGED_BYTES + from_everywhere * len(groups) * ENVIRONMENT_BYTES
+
+def plan_tiles(
+    scene: SortedScene, lights: SceneLights, suns: Sequence[Sun], camera: Camera, settings: Settings
+) -> tuple[list[tuple[int, int, int, int]], int]:
+    """Tiles of the camera's window, and the bytes that a render needs, estimated; suns: that are rendered.
+
+    Raises SceneError if the memory limit is too small.
+    """
+    rendered = scene.volumes
+    memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), suns) for volume, medium in rendered)
+    memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
+    memory += lights.from_everywhere * len(scene.groups) * ENVIRONMENT_BYTES
     # Light of surfaces is one more sky beside others.
-    different = len(skies) + bool(reflects and environments)
+    different = lights.skies + bool(lights.reflects and lights.environments)
     memory += different * SKY_BYTES if different > 1 else 0
-    memory += sum(lamp_bytes(volume, lamps) for volume, _ in rendered)
-    depth_samples = settings.depth_samples * (settings.most_detail if lamps and predicts_lamps else 1)
-    ray = ray_bytes(depth_samples, len(rendered), len(merged) + len(lamps))
-    tiles, needed = _plan_tiles(camera, settings, ray, memory)
-    if len(tiles) > 1:
-        planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
+    memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
+    depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)
+    ray = ray_bytes(depth_samples, len(rendered), len(suns) + len(lights.lamps))
+    x0, y0, x1, y1 = camera.window
+    memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
+    threads, needed = settings.threads or os.cpu_count() or 1, memory
+    for bands in TILE_BANDS:
+        tiles = make_tiles(camera.window, bands)
+        pixels = min(threads, len(tiles)) * _largest(tiles)
+        if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
+            pixels = (x1 - x0) * (y1 - y0)
+        needed = memory + pixels * ray
+        if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
+            break
     if needed > settings.memory_limit:
         raise SceneError(
             f"the render needs about {needed / 2**30:.1f} GiB and the limit is "
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
             "a smaller image or smaller grids"
         )
+    return tiles, needed
+
+
+def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camera: Camera, settings: Settings) -> Plan:
+    """The plan of a render; lit: numbers of the suns whose light surfaces let through to the volumes.
+
+    Raises SceneError if the memory limit is too small.
+    """
+    planned, left_out = [*scene.planned, *lights.planned], [*scene.left_out, *lights.left_out]
+    # One sun remains even if all are dark; its single scattering is 0.
+    bright = [lights.suns[n] for n in lit]
+    suns = bright or lights.suns[:1]
+    if len(lit) < len(lights.suns):
+        dark = len(lights.suns) - len(lit)
+        left_out.append(f"{dark} suns: surfaces shadow the volumes from them completely")
+    channels = _channel_groups(scene.volumes, settings)
+    if len(channels) == 1:
+        left_out.append("two of three colour channels: extinction is grey")
+    multiple, scattered_emission = [], []
+    for group in scene.groups:
+        members = [scene.volumes[v] for v in group]
+        directed = [*bright, *(lights.lamps if lights.predicts_lamps else ())]
+        linked = lights.from_everywhere or bool(linking(directed, [volume.name for volume, _ in members]).any())
+        predicted, scattered = _plan_group(members, linked, settings, planned, left_out)
+        # The network for environments predicts their single scattering, too.
+        predicted |= lights.from_everywhere and _scatters(members, settings)
+        multiple.append(predicted)
+        scattered_emission.append(scattered)
+    tiles, memory = plan_tiles(scene, lights, suns, camera, settings)
+    if len(tiles) > 1:
+        planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
+    changed = {"suns": suns, "planned": planned, "left_out": left_out}
     return Plan(
-        volumes=rendered,
-        suns=merged,
+        **(vars(lights) | changed),
+        volumes=scene.volumes,
         channels=channels,
-        groups=groups,
+        groups=scene.groups,
         multiple=multiple,
         scattered_emission=scattered_emission,
-        planned=planned,
-        left_out=left_out,
         optimizations=settings.leave_out,
-        memory=needed,
+        memory=memory,
         tiles=tiles,
-        environments=environments,
-        lamps=lamps,
-        predicts_lamps=predicts_lamps,
-        reflects=reflects,
-        sky=unhidden,
-        lamp_clusters=clusters,
     )
 
 
-def _lamp_clusters(
+def make_plan(
     volumes: Sequence[tuple[Volume, Medium]],
-    groups: Sequence[Sequence[int]],
-    lamps: Sequence[Lamp],
-    others: Sequence[Sun | Environment],
+    lights: Sequence[Light],
+    camera: Camera,
     settings: Settings,
-) -> list[list[list[int]]]:
-    """As `Plan.lamp_clusters`; others: all other lights."""
-    if "distant_lamps" not in settings.leave_out:
-        return [[[k] for k in range(len(lamps))] for _ in groups]
-    boxes = [{volumes[v][0].name: _corners(volumes[v][0]) for v in group} for group in groups]
-    return [joined_lamps(lamps, others, group) for group in boxes]
-
-
-def _reflecting(surfaces: Sequence[Surface]) -> list[str]:
-    """Names of surfaces that reflect light into volumes."""
-    return [surface.name for surface in surfaces if surface.reflectance.any()]
+    surfaces: Sequence[Surface] = (),
+    cancel: CancelToken = NEVER,
+) -> Plan:
+    """The plan of a scene whose suns all shine on its volumes. Raises as `sort_scene` and `decide`, and Cancelled."""
+    scene = sort_scene(volumes, lights, surfaces)
+    placed = sort_lights(scene, see_sky(scene, camera, cancel), settings)
+    return decide(scene=scene, lights=placed, lit=range(len(placed.suns)), camera=camera, settings=settings)
 
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:
@@ -419,24 +488,6 @@ def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
         attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
         for volume, medium in members
     )
-
-
-def _plan_tiles(
-    camera: Camera, settings: Settings, ray: int, memory: int
-) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Tiles of the camera's window, and the bytes needed including them; ray, memory: of a ray, and without them."""
-    x0, y0, x1, y1 = camera.window
-    memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
-    threads, needed = settings.threads or os.cpu_count() or 1, memory
-    for bands in TILE_BANDS:
-        tiles = make_tiles(camera.window, bands)
-        pixels = min(threads, len(tiles)) * _largest(tiles)
-        if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
-            pixels = (x1 - x0) * (y1 - y0)
-        needed = memory + pixels * ray
-        if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
-            break
-    return tiles, needed
 
 
 def _largest(tiles: list[tuple[int, int, int, int]]) -> int:

@@ -43,7 +43,7 @@ class GroupRadiance:
             holds=network is not None and network.needs_ray_features,
         )
         returned = scene.thrown_back
-        skies = [environment for environment in plan.environments if environment is not returned]
+        skies = [environment for environment in scene.environments if environment is not returned]
         context.progress.message(f"multiple scattering of {plan.group_name(g)}")
         fluence = solve_transport(context, scene, channels, self._suns, [g])
         lamps = prepare_lamp_march(context, scene, channels) if scene.lamps and plan.predicts_lamps else None

@@ -9,7 +9,7 @@ import numpy as np
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
-from .discrete_ordinates import DiscreteOrdinates, Fields, Follower
+from .discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
 from .ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
 
 # Cells whose beams are found at once: few enough for matrix products that stay on this thread.
@@ -65,7 +65,7 @@ class SunBeam:
 
 
 @dataclass(frozen=True)
-class LampBeam:
+class LampBeam(CellSource):
     """A lamp of power 1; a `CellSource` of its scattered light. beam: of the lamp, on any number of cells."""
 
     beam: Beam
@@ -79,17 +79,9 @@ class LampBeam:
             beams *= solver.albedo
         return solver.sweeps.followers(fields.source, fields.swept, beams=beams)
 
-    def coarser(self, solver: DiscreteOrdinates) -> "LampBeam":
-        """As of CellSource."""
-        return self
-
-    def scattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As of CellSource."""
-        return solver.solve(self, cancel)[0]
-
 
 @dataclass(frozen=True)
-class EnteringLight:
+class EnteringLight(CellSource):
     """Light of an environment; a `CellSource` of all of it, unscattered light included, and linear in it.
 
     radiance: (26,), that arrives from ORDINATES.
@@ -104,14 +96,6 @@ class EnteringLight:
             # Exact for even light, which no albedo of 1 changes.
             fields.field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ self.radiance)
         return solver.sweeps.followers(fields.source, fields.swept, entering=np.asarray(self.radiance, np.float32))
-
-    def coarser(self, solver: DiscreteOrdinates) -> "EnteringLight":
-        """As of CellSource."""
-        return self
-
-    def scattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As of CellSource, unscattered light included."""
-        return solver.solve(self, cancel)[0]
 
 
 def scattered_beams(light: np.ndarray, towards: np.ndarray, anisotropy: float) -> np.ndarray:

@@ -87,9 +87,11 @@ class CellSource(Protocol):
 
     def coarser(self, solver: "DiscreteOrdinates") -> "CellSource":
         """The same for cells twice as large."""
+        return self
 
     def scattered(self, solver: "DiscreteOrdinates", cancel: CancelToken = NEVER) -> np.ndarray:
         """Fluence (x, y, z) of all of its light that has scattered. Raises Cancelled."""
+        return solver.solve(self, cancel)[0]
 
 
 class DiscreteOrdinates:

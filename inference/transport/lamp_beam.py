@@ -166,3 +166,9 @@ class LampInCube:
         """A source of light in the cube's frame."""
         position, centre = self.cube.positions(np.stack([source.position, source.centre]))
         return LampSource(position, centre, source.radius / self.cube.edge, source.soft_falloff)
+
+
+def directions_to(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) from positions (N, 3) to a place (3,)."""
+    away = place - positions
+    return away / np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]

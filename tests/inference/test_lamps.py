@@ -489,7 +489,7 @@ def test_networks_read_nothing_of_lamps_inside(monkeypatch):
     volume, settings = box(voxels=16), Settings(depth_samples=4)
     medium, view = Medium(8.0, 0.9, 0.4), camera()
     expected = render([(volume, medium)], [LAMPS["inside"]()], view, settings).multiple
-    for unneeded in ("prepare_lamp", "_solver", "_density_lattices"):
+    for unneeded in ("_solver", "_density_lattices"):
         monkeypatch.delattr(RayPredictor, unneeded)
     np.testing.assert_array_equal(render([(volume, medium)], [LAMPS["inside"]()], view, settings).multiple, expected)
     assert expected.mean() > 0.0

@@ -11,10 +11,10 @@ import torch
 from benchmarks.fidelity.environments import cameras
 from benchmarks.fidelity.shaded_environments import rectangle
 from inference import Environment, Medium, Settings, Surface, render
+from inference.network.conditions import RayPoints
 from inference.network.environment_network import load_environment_network
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
-from inference.network.ray_points import RayPoints
 from training import export_environment, train_environment
 from training.data import environment_targets
 from training.data.seeded_volume import cube_volume, seeded_volume
@@ -104,7 +104,7 @@ def test_training_and_rendering_read_the_same(folder):
             environment = Environment(np.repeat(image[..., None], 3, axis=2))
             sigma = float(sigma_hat) / predictor.cube.edge
             prepared = predictor.prepare_environment(network, [environment], sigma, bounds)
-            assert prepared.channels == 1
+            assert prepared.skies.channels == 1
             positions = predictor.cube.centre + predictor.cube.edge * d["position"][own] @ predictor.cube.rotation.T
             directions = d["omega"][own] @ predictor.cube.rotation.T
             found = prepared.predict(RayPoints(positions, directions), d["along"][own], [1.0])[..., 0]

@@ -21,6 +21,7 @@ from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
 from inference.marching.marcher import ray_features_at
 from inference.network.network import load_network
+from inference.network.placed_lights import PlacedSun
 from inference.network.predictor import VolumePredictor
 from training import evaluate, export, memory, train
 from training.data.seeded_volume import seeded_volume
@@ -376,7 +377,7 @@ def test_training_inputs_equal_those_of_rendering():
         x, w = cube.positions(position), cube.directions(omega)
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
             predictor = VolumePredictor(loaded, volume, rows["anisotropy"][row])
-            reader = predictor.prepare(sigma_t, Sun(sun), predictor.bounds(position)).prediction
+            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube), predictor.bounds(position)).prediction
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
             assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(
@@ -385,7 +386,9 @@ def test_training_inputs_equal_those_of_rendering():
         assert angle_to_sun(w, reader.lookup.sun)[0] == pytest.approx(rows["gamma"][row], abs=1e-3)
 
         bound = BoundMedium(grid, Medium(sigma_t), sigma_t, grid.sun_depths([sun]))
-        light = ray_features_at(bound, position, omega, predictor.fluence(sigma_t, [Sun(sun)])).of(slice(None), 0, 0)[0]
+        light = ray_features_at(bound, position, omega, predictor.fluence(sigma_t, [PlacedSun(Sun(sun), cube)])).of(
+            slice(None), 0, 0
+        )[0]
         around = reader.light.read(x, w, reader.lookup.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)

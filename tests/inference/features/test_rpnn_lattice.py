@@ -20,8 +20,9 @@ from inference.features.rpnn_lattice import (
 )
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.network import network, weights_file
+from inference.network.conditions import RayPoints
+from inference.network.placed_lights import PlacedSun
 from inference.network.predictor import VolumePredictor
-from inference.network.ray_points import RayPoints
 from training.data import lattice_rows
 from training.data.descriptors import Levels, describe_points
 from training.data.seeded_volume import seeded_volume
@@ -166,7 +167,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
         predictor = VolumePredictor(network.load_network("rpnn"), volume, 0.857)
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
-        prepared = predictor.prepare(sigma_t, Sun(data["sun"][kept[i]]), predictor.bounds(position))
+        prepared = predictor.prepare(sigma_t, PlacedSun(Sun(data["sun"][kept[i]]), cube), predictor.bounds(position))
         np.testing.assert_allclose(prepared.predict(RayPoints(position, omega), [1.0])[0, 0], trained[i], rtol=5e-3)
 
 
