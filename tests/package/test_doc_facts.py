@@ -289,6 +289,24 @@ FACTS = [
         "inference.network.lamp_nearby",
         ("NEAR", "FAR"),
     ),
+    (
+        "docs/method-details.md",
+        r"\| up to (\d+) \| .{0,80} fixed ones; (\d+) at (\d+)°",
+        "inference.baking.directions",
+        ("NODES", "VIEW_RING[1]", "VIEW_RING[0]"),
+    ),
+    (
+        "docs/method-details.md",
+        r"\| up to (\d+) \| (\d+) anchors",
+        "inference.baking.directions",
+        ("FINE_NODES", "len(ANCHORS) - 1"),
+    ),
+    (
+        "docs/method-details.md",
+        r"are an optical depth of ([\d.]+) apart, but at least (\d+) are",
+        "inference.baking.directions",
+        ("SPACING", "LEAST_NODES"),
+    ),
     ("docs/stability.md", r"anisotropy beyond ±([\d.]+),", "inference.scene.description", ("MAX_ANISOTROPY",)),
     ("docs/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
     ("docs/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MAX_STEPS",)),
@@ -319,6 +337,18 @@ ADDON_FACTS = [
         r"\*Preview\*: (\d+) depth sample.{0,120} \*Draft\*: (\d+) depth samples.{0,80} \*Final\*: (\d+) depth samples",
         "settings.properties",
         ("PRESETS['PREVIEW']", "PRESETS['DRAFT']", "PRESETS['FINAL']"),
+    ),
+    (
+        "docs/settings.md",
+        r"samples, or (\d+) where neighbouring pixels differ",
+        "scene.film",
+        ("SAMPLES",),
+    ),
+    (
+        "docs/baked-light.md",
+        r"in Blender 4 also a \*Step Rate Render\* of (\d+),",
+        "baking.fast_settings",
+        ("STEP_RATE",),
     ),
     (
         "docs/comparison.md",
