@@ -12,6 +12,7 @@ from ..inference.scene import SceneError, Settings
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, light_state, remove_light, show_light
 from ..mrpnn_addon.baking.fast_settings import set_fast
+from ..mrpnn_addon.objects.visibility import visible_objects
 from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import percent, report, status_bar
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame
@@ -201,7 +202,14 @@ class MRPNN_OT_bake_light_fast(bpy.types.Operator):
 
 def make_fast(depsgraph: "bpy.types.Depsgraph") -> str:
     """Set what shows a scene's baked light fast in Cycles; gives a sentence about it."""
-    return set_fast(bpy.context.scene, recommend(depsgraph).way == LAYER)
+    lamps = any(shown.object.type == "LIGHT" and not is_sun(shown.object) for shown in visible_objects(depsgraph))
+    return set_fast(bpy.context.scene, recommend(depsgraph).way == LAYER and not lamps)
+
+
+def is_sun(shown_object: "bpy.types.Object") -> bool:
+    """Whether a light is a sun, whose single scattering has little noise in Cycles."""
+    light: Any = shown_object.data
+    return light.type == "SUN"
 
 
 def _count(volumes: list) -> str:

@@ -15,8 +15,9 @@ STEP_RATE = 4.0
 def fast_settings(scene: "bpy.types.Scene", volumes_alone: bool) -> dict:
     """Settings of Cycles, by name.
 
-    volumes_alone: whether the scene shows nothing else. There one sample is enough, and the denoiser needs no albedo
-    and normals, which say nothing in a volume. Surfaces, lamps and blur need what the scene has.
+    volumes_alone: whether the scene shows nothing else, in the light of suns and the World. There one sample is enough,
+    and the denoiser needs no albedo and normals, which say nothing in a volume. Surfaces, lamps and blur need what the
+    scene has.
     """
     found: dict = {}
     # Blender 5 marches volumes with a larger bias, which longer steps raise.

@@ -126,10 +126,11 @@ def test_fast_settings_show_the_layer_with_one_sample(addon, scene, cloud, tmp_p
     assert relative(blender_scenes.rendered(scene, tmp_path), layer) < 0.1
 
 
-def test_surfaces_keep_their_samples(addon, scene, cloud, tmp_path):
+@pytest.mark.parametrize("other", ["surface", "lamp"])
+def test_surfaces_and_lamps_keep_their_samples(addon, scene, cloud, tmp_path, other):
     mesh = bpy.data.meshes.new("Ground")
     mesh.from_pydata([(-9, -9, -3), (9, -9, -3), (9, 9, -3), (-9, 9, -3)], [], [(0, 1, 2, 3)])
-    blender_scenes.add_object(scene, "Ground", mesh)
+    blender_scenes.add_object(scene, "Other", mesh if other == "surface" else bpy.data.lights.new("Lamp", "POINT"))
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.denoising_input_passes = 77, "RGB_ALBEDO_NORMAL"
     bake(tmp_path)
