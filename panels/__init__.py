@@ -7,6 +7,7 @@ from . import (
     camera_panel,
     composite_panel,
     light_bake_panel,
+    light_group_panel,
     light_panel,
     material_panel,
     object_panel,
@@ -20,7 +21,16 @@ from .text import tells_names
 
 # Blender draws panels in the order of their registration, parents first.
 _parent, *_children = render_panel.classes
-MODULES = (view_layer_panel, object_panel, visibility_panel, material_panel, light_panel, camera_panel, world_panel)
+MODULES = (
+    view_layer_panel,
+    object_panel,
+    visibility_panel,
+    material_panel,
+    light_panel,
+    camera_panel,
+    world_panel,
+    light_group_panel,
+)
 CLASSES = (
     *preferences_panel.classes,
     _parent,

@@ -7,10 +7,15 @@ from typing import Any
 import bpy
 
 # Panels of use to every engine that list only some.
-SHARED = ("EEVEE_MATERIAL_PT_context_material", "VIEWLAYER_PT_layer_passes")
+SHARED = (
+    "EEVEE_MATERIAL_PT_context_material",
+    "VIEWLAYER_PT_layer_passes",
+    "VIEWLAYER_PT_layer_passes_lightgroups",
+    "VIEWLAYER_PT_filter",
+)
 # Panels that list every engine but are of no use to this one: it has its own panel for lights, and does not render
 # light previews, light linking or the shading of surfaces.
-USELESS = ("DATA_PT_light", "DATA_PT_spot", "DATA_PT_preview", "OBJECT_PT_shading", "VIEWLAYER_PT_filter")
+USELESS = ("DATA_PT_light", "DATA_PT_spot", "DATA_PT_preview", "OBJECT_PT_shading")
 
 
 def _useful_panels() -> Iterator[Any]:

@@ -77,7 +77,7 @@ CYCLES_ONLY = {
         "Freestyle",
         "Debug",
     },
-    "VIEW_LAYER": {"Filter", "Override"},
+    "VIEW_LAYER": {"Override"},
     "WORLD": {"Preview", "Volume", "Settings"},
     "OBJECT": {"Shading", "Motion Blur"},
     "DATA": {"Preview", "Settings", "Depth of Field"},

@@ -213,7 +213,13 @@ def test_files_hold_metadata_of_the_render(addon, scene, cloud, tmp_path):
 
 
 def test_built_in_panels_show_for_the_engine_only_while_registered(addon):
-    panels = [bpy.types.RENDER_PT_format, bpy.types.DATA_PT_volume_file, bpy.types.EEVEE_MATERIAL_PT_context_material]
+    panels = [
+        bpy.types.RENDER_PT_format,
+        bpy.types.DATA_PT_volume_file,
+        bpy.types.EEVEE_MATERIAL_PT_context_material,
+        bpy.types.VIEWLAYER_PT_layer_passes_lightgroups,
+        bpy.types.VIEWLAYER_PT_filter,
+    ]
     assert all("MRPNN" in panel.COMPAT_ENGINES for panel in panels)
     addon.unregister()
     try:
