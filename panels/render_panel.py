@@ -100,7 +100,8 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
         if missing.surfaces and not composited(scene):
             # Check Scene tells more about them.
             if check is None or check.outdated(scene) or not any(map(missing.names, check.warnings)):
-                draw_text(context, layout, missing.sentence, "INFO")
+                for sentence in filter(None, (missing.sentence, missing.fog)):
+                    draw_text(context, layout, sentence, "INFO")
             layout.operator(MRPNN_OT_composite.bl_idname)
         row = layout.row(align=True)
         row.operator(MRPNN_OT_check.bl_idname, icon="VIEWZOOM")

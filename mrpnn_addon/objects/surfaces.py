@@ -53,6 +53,10 @@ class OpaqueMesh:
         )
 
 
+# What is said of an object that `hides_own_fog`.
+OWN_FOG = "hides the fog of its own material, as in Cycles. Unlink Surface in the material's output to show the fog"
+
+
 def read_surface(
     shown: VisibleObject, view_layer: "bpy.types.ViewLayer", known: dict[tuple, Mesh]
 ) -> tuple[OpaqueMesh | None, list[str]]:
@@ -88,7 +92,15 @@ def read_surface(
     # Light that volumes scatter, or that they gather, does not know surfaces that are hidden from volume scattering.
     colour = _mean_colour(shown.object.material_slots, mesh) if stops else SurfaceColour()
     ignored = ignored_settings(shown.object, SHINING, where) if colour.emission.any() else []
+    if hides_own_fog(shown.object):
+        ignored.append(f"{where} {OWN_FOG}")
     return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour), ignored
+
+
+def hides_own_fog(shown: "bpy.types.Object") -> bool:
+    """Whether a mesh has fog, and a surface that light does not pass."""
+    used = [material for material in materials(shown) if material is not None]
+    return any(map(has_volume, used)) and not any(map(_is_transparent, used))
 
 
 def _kind(shown: VisibleObject) -> str:

@@ -5,15 +5,22 @@ from dataclasses import dataclass, field
 
 import bpy
 
-from ..nodes.material import SURFACES, shows_volume
+from ..nodes.material import MESHES, SURFACES, shows_volume
+from ..objects.surfaces import OWN_FOG, hides_own_fog
 from ..objects.visibility import visible_objects
 
 
 @dataclass
 class Unrendered:
-    """Names of objects and instances: surfaces that only hide and shade volumes."""
+    """Names of objects and instances: surfaces that only hide and shade volumes; filled: those with fog inside."""
 
     surfaces: list[str] = field(default_factory=list)
+    filled: list[str] = field(default_factory=list)
+
+    @property
+    def fog(self) -> str:
+        """What shows the fog of the first surface that hides its own, or ""."""
+        return f'"{self.filled[0]}" {OWN_FOG}' if self.filled else ""
 
     @property
     def sentence(self) -> str:
@@ -53,6 +60,8 @@ def unrendered(depsgraph: "bpy.types.Depsgraph") -> Unrendered:
         kind = shown.object.type
         if kind in SURFACES and not shows_volume(shown.object):
             found.surfaces.append(shown.name)
+            if kind in MESHES and hides_own_fog(shown.object):
+                found.filled.append(shown.name)
     return found
 
 

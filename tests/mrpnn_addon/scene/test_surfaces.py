@@ -105,6 +105,23 @@ def test_transparent_surfaces_are_named(addon, scene, tmp_path, change):
     assert '"Ball"' in warning and "is transparent" in warning
 
 
+def test_a_surface_that_hides_its_own_fog_says_how_to_show_it(addon, scene, tmp_path):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    filled = ball(scene, (0.0, 0.0, 2.0))
+    tree = filled.data.materials[0].node_tree
+    output, fog = tree.nodes["Material Output"], tree.nodes.new("ShaderNodeVolumePrincipled")
+
+    def said():
+        panel = addon.mrpnn_addon.scene.unrendered.unrendered(blender_scenes.depsgraph()).fog
+        return [*filter(None, [panel]), *(text for text in read(addon).warnings if "Unlink Surface" in text)]
+
+    assert said() == []
+    tree.links.new(fog.outputs[0], output.inputs["Volume"])
+    assert len(said()) == 2 and all('"Ball" hides the fog of its own material' in text for text in said())
+    tree.links.remove(output.inputs["Surface"].links[0])
+    assert said() == [] and len(read(addon).volumes) == 2
+
+
 def test_instances_and_text_occlude_and_objects_hidden_from_the_camera_do_not(addon, scene, tmp_path):
     blender_scenes.cloud_scene(scene, tmp_path)
     shown = ball(scene, (0.0, 0.0, 2.0))
