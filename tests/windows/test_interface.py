@@ -162,6 +162,7 @@ bpy.utils.register_class(MRPNN_PT_letters)
 """
 
 
+@pytest.mark.newest
 def test_sentences_are_wrapped_at_the_width_of_the_editor(artist):
     artist.do(LETTERS)
     try:
@@ -183,6 +184,7 @@ def test_sentences_are_wrapped_at_the_width_of_the_editor(artist):
     assert widest > 0.55 * (right - left)
 
 
+@pytest.mark.newest
 def test_memory_shows_its_unit(artist):
     artist.do("own = next(name for name in bpy.context.preferences.addons.keys() if name.endswith('.mrpnn'))")
     for owner in ("scene.mrpnn", "bpy.context.preferences.addons[own].preferences"):
@@ -272,6 +274,7 @@ print(scene.render.engine)
 """
 
 
+@pytest.mark.newest
 def test_panels_show_names_that_are_not_utf8(window):
     """In place of a traceback on the console at every redraw."""
     window.do("bpy.ops.wm.open_mainfile(filepath=WORK + '/window.blend')\nscene = bpy.context.scene")
