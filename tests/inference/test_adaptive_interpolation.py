@@ -134,6 +134,7 @@ def close():
     return [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN], camera(resolution=(150, 110), fov=0.3)
 
 
+@pytest.mark.slow
 def test_interpolation_saves_predictions_and_keeps_the_picture(close):
     """Two thirds of them here; its error is below that of so few depth samples, and reported."""
     every = render(*close, Settings(4, leave_out=ALL - {"shared_pixels"}))

@@ -350,6 +350,7 @@ def test_a_far_lamp_is_a_sun(lamp, anisotropy):
     assert np.abs(one - other).max() < 0.01 * one.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAMPS)
 def test_light_is_linear_in_power(name):
     one, other = (picture([LAMPS[name](power)]) for power in (3.0, 3.0 * 1024.0))
@@ -358,6 +359,7 @@ def test_light_is_linear_in_power(name):
     assert other.multiple == pytest.approx(1024.0 * one.multiple, rel=1e-5, abs=1e-6 * other.multiple.max())
 
 
+@pytest.mark.slow
 def test_lights_add_up():
     settings = Settings(depth_samples=4, leave_out=frozenset({"empty_space", "equal_channels"}))
     lights = [

@@ -18,6 +18,7 @@ def test_the_light_of_a_lamp_inside_smoke_is_that_of_traced_paths(sigma, albedo,
     assert rendered_towards_z(lamp, medium)[1] == pytest.approx(expected, rel=0.1, abs=3.0 * noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.05, 0.15])
 def test_the_light_of_a_sphere_inside_smoke_is_that_of_traced_paths(radius):
     """What it scatters within itself, too."""
@@ -28,6 +29,7 @@ def test_the_light_of_a_sphere_inside_smoke_is_that_of_traced_paths(radius):
     assert found == pytest.approx(expected, rel=0.07)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
 @pytest.mark.parametrize("radius", [0.05, 0.15])
 def test_the_light_of_a_soft_falloff_inside_smoke_is_that_of_traced_paths(radius, anisotropy):

@@ -53,6 +53,7 @@ def test_volumes_that_a_light_does_not_light_are_baked_black():
     assert left.scattered.max() > 0.0 and not right.scattered.any()
 
 
+@pytest.mark.slow
 def test_ground_that_a_light_does_not_light_returns_nothing():
     ground = Surface(rectangle(-8.0, 8.0, -8.0, 8.0, -0.7).triangles, "ground", reflectance=0.8)
     black = replace(ground, reflectance=0.0)

@@ -112,6 +112,7 @@ def test_it_shows_in_the_steps_of_the_viewport(layer):
     assert abs(centre - 0.5) < 0.05
 
 
+@pytest.mark.slow
 def test_it_bakes():
     [lit] = bake([(SMOKE, MEDIUM)], [SHEET], camera(), SETTINGS)
     light = lit.scattered[1:-1, 1:-1, 1:-1].mean(axis=(1, 2, 3))

@@ -72,6 +72,7 @@ def test_light_of_surfaces_is_linear_in_the_suns():
     assert three == pytest.approx(3.0 * one, rel=1e-4, abs=1e-5 * three.max())
 
 
+@pytest.mark.slow
 def test_light_of_surfaces_adds_up():
     lights = [DOWN, PointLight((0.3, 0.2, 0.9), 5.0), Environment(np.full((8, 16, 3), 0.1, np.float32))]
     alone = sum(picture([light], [ground(0.6)]).rgb for light in lights)

@@ -95,6 +95,7 @@ def test_threads_get_the_networks_that_they_ask_for_each_loaded_once(monkeypatch
             assert network.provider == provider or any(provider in warning for warning in network.warnings)
 
 
+@pytest.mark.slow
 def test_renders_with_different_networks_share_a_cache():
     scene = [(ball(), Medium(20.0, 0.9, 0.5))], [Sun((0.3, 0.5, 0.8))]
     models = ("mrpnn", "mrpnn-narrow", "rpnn")

@@ -137,6 +137,7 @@ LIGHTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", [False, True])
 @pytest.mark.parametrize("lights", LIGHTS.values(), ids=LIGHTS)
 def test_renders_do_not_wake_the_threads_of_blas(lights, ground):
@@ -157,6 +158,7 @@ def test_predictions_at_points_do_not_wake_the_threads_of_blas(light):
     alone(lambda: predict_multiple(cloud(), Medium(40.0, 0.9, 0.8), light, points, np.full((500, 3), 3**-0.5)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", ["sun and sky", "point light inside"])
 def test_large_renders_do_not_wake_the_threads_of_blas(lights):
     check_threads_of_blas(LIGHTS[lights], False, (480, 480))

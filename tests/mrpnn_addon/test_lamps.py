@@ -60,6 +60,7 @@ NEWER = {
 FINE = ("inside", "spot", "soft spot", "beam")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*SHAPES, *NEWER])
 def test_single_scattering_is_that_of_cycles(addon, scene, tmp_path, name):
     kind, values = {**SHAPES, **NEWER}[name]
@@ -82,6 +83,7 @@ def test_single_scattering_is_that_of_cycles(addon, scene, tmp_path, name):
     assert np.abs(found - expected).mean() < 0.08 * expected.mean()
 
 
+@pytest.mark.slow
 def test_a_lamp_inside_smoke_is_that_of_cycles(addon, scene, tmp_path):
     smoke(scene, tmp_path, density=12.0)
     scene.render.resolution_x = scene.render.resolution_y = 48

@@ -70,6 +70,7 @@ def test_noise_whose_settings_vary(tilted, tmp_path):
     check(tilted, tmp_path, [node.outputs["Fac"]], "noise")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimensions", ["1D", "2D", "3D", "4D"])
 @pytest.mark.parametrize("feature", ["F1", "F2", "SMOOTH_F1"])
 def test_voronoi(tilted, tmp_path, feature, dimensions):

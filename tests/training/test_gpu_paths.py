@@ -71,6 +71,7 @@ def test_a_gpu_finds_the_light_of_the_cpu():
         np.testing.assert_array_equal(first[0], second[0])
 
 
+@pytest.mark.slow
 def test_the_kernel_finds_the_light_of_the_cpu_in_the_simulator():
     """Without a GPU numba runs kernels in Python: the same light from few paths, and none where there are no points."""
     environment = {**os.environ, "NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}

@@ -51,6 +51,7 @@ def vertices():
     return np.random.default_rng(1).uniform(-0.45, 0.45, (48, 3)), unit_vectors(48)
 
 
+@pytest.mark.slow
 def test_without_absorption_even_light_is_the_same_everywhere(uneven, vertices):
     medium = LitMedium(20.0, 0.6, AlbedoField([1.0], [1.0]))
     even = lights(environments=np.full((1, 8, 16), 3.0))

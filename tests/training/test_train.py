@@ -56,6 +56,7 @@ def test_rows_are_complete_and_plausible(data):
         assert np.all(rows["albedo"][:, 0] == 1.0)
 
 
+@pytest.mark.slow
 def test_targets_follow_from_the_seed(data):
     again = make_targets(3, points=96, paths=4)
     with np.load(data / "0000003.npz") as rows:
@@ -106,6 +107,7 @@ def run(data, folder, steps):
     return torch.load(folder / "checkpoint.pt", weights_only=True)
 
 
+@pytest.mark.slow
 def test_training_learns_and_resumes_where_it_stopped(data, tmp_path, monkeypatch):
     monkeypatch.setattr(train, "BATCH", 256)
     monkeypatch.setattr(train, "WARM_UP", 5)

@@ -150,6 +150,7 @@ def _noisy_rows(count: int = 6000) -> tuple[Rows, list[Group]]:
     return Rows(terms, inputs, light[:, None] * noise, nothing, light, torch.zeros(count, dtype=torch.int64)), groups
 
 
+@pytest.mark.slow
 def test_training_finds_the_mean_of_noisy_light(monkeypatch):
     rows, groups = _noisy_rows()
     # The first guess is far off, as its comparison says; that of the light itself says 0, whatever the noise.

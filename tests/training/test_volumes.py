@@ -48,6 +48,7 @@ def test_the_active_part_fills_the_cube_along_one_axis_and_is_centred(samples):
         assert np.abs(centres).max() < 0.08 * RESOLUTION, (seed, sample.kind, centres)
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_volume_and_another_seed_another():
     first, again, other = make_volume(2, 32), make_volume(2, 32), make_volume(8, 32)
     assert first.kind == again.kind == other.kind == "simulation"

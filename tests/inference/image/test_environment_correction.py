@@ -53,6 +53,7 @@ def test_even_light_stays_even_where_nothing_absorbs():
     np.testing.assert_allclose(corrected, predicted, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_every_colour_has_its_own_factor():
     """Red from above, green from below, blue from one side."""
     named = environments()

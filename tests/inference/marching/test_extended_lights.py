@@ -75,6 +75,7 @@ def test_an_extended_sun_equals_many_suns_within_its_cone():
     np.testing.assert_allclose(wide.single[seen], many.single[seen], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_means_interpolated_between_nodes_equal_those_at_pixels():
     view = camera(resolution=(90, 60), fov=0.9)
     phase = PhaseFunction(((0.6, "henyey_greenstein", (0.8,)), (0.4, "draine", (0.3, 1.0))))

@@ -56,6 +56,7 @@ def picture(lamp, leave_out, density=20.0, surfaces=(), size=(384, 256), anisotr
     return render([(CLOUD, medium)], [lamp], camera(resolution=size), settings, None, None, CACHE, surfaces)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
 @pytest.mark.parametrize(
     "lamp",
@@ -72,6 +73,7 @@ def test_averaged_shadows_change_the_picture_within_the_budget(lamp, anisotropy)
     assert averaged.report.counts[COUNT] == 1 and COUNT not in each.report.counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -86,6 +88,7 @@ def test_shadows_are_not_averaged_where_that_is_dearer_or_wrong(changes):
     assert picture(PointLight((1.0, 1.0, 1.0), 9.0), ALL, **changes).report.counts[COUNT] == 0
 
 
+@pytest.mark.slow
 def test_a_floor_that_shadows_nothing_does_not_matter():
     """Nor do walls behind the cloud, behind the lamp and beside both; a roof in between does."""
     names, lamp = ALL - {"shared_pixels"}, panel()

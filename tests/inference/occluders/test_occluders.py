@@ -125,6 +125,7 @@ def test_the_render_cache_follows_surfaces_and_suns():
         np.testing.assert_array_equal(found.rgb, anew.rgb)
 
 
+@pytest.mark.slow
 def test_a_network_without_light_inputs_warns_of_surfaces():
     wall = Surface(rectangle(-9, 0, -9, 9, 6.0).triangles)
     layer = render(

@@ -95,6 +95,7 @@ def test_an_edge_covers_its_share_of_a_pixel():
     np.testing.assert_allclose(near.rgb[:, 2], share * near.rgb[:, 3], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_the_image_does_not_depend_on_tiles_and_threads():
     wall = rectangle(-1.0, 0.03, -1.0, 0.2, 0.3)
     view, medium = camera(resolution=(16, 12)), Medium(2.0, 0.8, 0.5)

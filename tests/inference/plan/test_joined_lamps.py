@@ -35,6 +35,7 @@ def change(layer, other):
     return np.sqrt(((layer.rgb - other.rgb)[shown] ** 2).mean()) / other.rgb[shown].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surfaces", [[], [Surface([[[0, -4, 1.2], [4, -4, 1.2], [0.4, 4, 1.2]]], covers=False)]])
 def test_joined_lamps_change_the_picture_within_the_budget(surfaces):
     lights = row()

@@ -244,6 +244,7 @@ def test_white_furnace(anisotropy, sigma):
     assert layer.alpha.max() > 0.3 and layer.report.counts["environments"] == 1
 
 
+@pytest.mark.slow
 def test_pictures_are_linear_additive_and_continuous():
     first, second = sky(seed=1), sky(seed=2)
     a, b = (picture([Environment(light)]).rgb for light in (first, second))

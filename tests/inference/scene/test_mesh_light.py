@@ -82,6 +82,7 @@ def test_surfaces_that_surround_volumes_are_no_lamps():
     assert [light.surface for light in mesh_lights([floor, small], CORNERS)] == [small]
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_panel_is_that_of_an_area_light():
     view = Camera(np.eye(4), "orthographic", (12, 12), ortho_scale=1.1)
     view.world_matrix[2, 3] = 3.0

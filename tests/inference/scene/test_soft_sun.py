@@ -30,6 +30,7 @@ def test_a_sharp_sun_is_one_direction():
         soft_sun((0.0, 0.0, 0.0), 2.0, 0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees, sigma_t, anisotropy, parts", [(30.0, 40.0, 0.857, 7), (90.0, 100.0, 0.0, 19)])
 def test_joined_parts_look_as_each_alone_and_cost_less(degrees, sigma_t, anisotropy, parts):
     volumes, suns = [(cloud(), Medium(sigma_t, 0.98, anisotropy))], soft_sun((0.0, -1.0, 0.2), 1.0, np.radians(degrees))

@@ -53,6 +53,7 @@ def test_a_grid_of_one_colour_is_that_colour():
     np.testing.assert_array_equal(found.rgb, expected.rgb)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", LIGHTS)
 def test_almost_one_colour_is_almost_that_colour(light):
     expected = draw(COLOUR, LIGHTS[light])
@@ -64,6 +65,7 @@ def test_almost_one_colour_is_almost_that_colour(light):
     close(found.rgb, expected.rgb, 2e-3 if light == "environment" else 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["sun", "lamp", "environment"])
 def test_channels_are_those_of_grey_albedos(light):
     greys = [halves(0.9, 0.3), halves(0.2, 0.8), halves(0.95, 0.6)]
@@ -83,6 +85,7 @@ def test_single_scattering_is_linear_in_the_albedo():
     close(parts[0] + parts[1], whole, 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", LIGHTS)
 @pytest.mark.parametrize("anisotropy", [0.0, 0.8])
 def test_radiance_does_not_grow_where_the_albedo_falls(light, anisotropy):
@@ -159,6 +162,7 @@ def test_overlapping_volumes_of_different_albedo_keep_their_colours():
     assert np.sqrt(((found - expected) ** 2).mean()) < 0.05 * expected[expected > 0.0].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["sun", "lamp", "environment"])
 def test_a_volume_per_colour_channel_is_the_chromatic_medium(light):
     """So an extinction whose colour varies is rendered: overlapping volumes of different channels do not mix."""

@@ -49,6 +49,7 @@ def relative(image, layer):
     return np.sqrt(np.mean((image[..., :3] - layer.rgb)[shown] ** 2)) / layer.rgb[shown].mean()
 
 
+@pytest.mark.slow
 def test_cycles_shows_the_layer_after_baking_and_single_scattering_before(addon, scene, cloud, tmp_path):
     layer = layer_of(scene)
     before = in_cycles(scene, tmp_path)[..., :3].mean()
@@ -59,6 +60,7 @@ def test_cycles_shows_the_layer_after_baking_and_single_scattering_before(addon,
     assert image[..., :3].mean() == pytest.approx(layer.rgb.mean(), rel=0.04)
 
 
+@pytest.mark.slow
 def test_another_camera_sees_its_own_light_in_its_colours(addon, scene, cloud, tmp_path):
     shader = next(node for node in cloud.data.materials[0].node_tree.nodes if node.type == "PRINCIPLED_VOLUME")
     shader.inputs["Color"].default_value, shader.inputs["Anisotropy"].default_value = (0.6, 0.8, 1.0, 1.0), 0.8
@@ -69,6 +71,7 @@ def test_another_camera_sees_its_own_light_in_its_colours(addon, scene, cloud, t
     assert relative(in_cycles(scene, tmp_path), layer_of(scene)) < 0.1
 
 
+@pytest.mark.slow
 def test_the_layer_and_the_volume_are_what_they_were(addon, scene, cloud, tmp_path):
     layer, materials = layer_of(scene), [slot.material.name for slot in cloud.material_slots]
     path = cloud.data.filepath
@@ -139,6 +142,7 @@ def test_surfaces_and_lamps_keep_their_samples(addon, scene, cloud, tmp_path, ot
     assert scene.cycles.use_denoising
 
 
+@pytest.mark.slow
 def test_only_what_has_changed_is_baked_again(addon, scene, cloud, tmp_path):
     other, _ = blender_scenes.add_volume(
         scene,
@@ -201,6 +205,7 @@ def test_without_light_the_bake_is_dark_and_says_what_is_missing(addon, scene, c
     assert not found[..., :3].any() and found[..., 3].max() > 0.3
 
 
+@pytest.mark.slow
 def test_light_that_ground_throws_back_is_baked(addon, scene, cloud, tmp_path):
     mesh = bpy.data.meshes.new("Ground")
     mesh.from_pydata([(-9, -9, -1.2), (9, -9, -1.2), (9, 9, -1.2), (-9, 9, -1.2)], [], [(0, 1, 2, 3)])
@@ -218,6 +223,7 @@ def test_light_that_ground_throws_back_is_baked(addon, scene, cloud, tmp_path):
     assert alone.mean() < 0.8 * reference.mean()
 
 
+@pytest.mark.slow
 def test_the_command_bakes_a_sequence_and_saves_a_file_that_shows_it(addon, scene, cloud, tmp_path):
     sun = scene.objects["Sun"]
     for frame, angle in ((1, 0.0), (3, 1.0)):

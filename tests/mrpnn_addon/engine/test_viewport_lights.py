@@ -79,6 +79,7 @@ def test_lamps_of_every_kind_and_a_world(addon, cloud):
     check_last_picture(addon, description)
 
 
+@pytest.mark.slow
 def test_a_glowing_mesh_and_no_light(addon, cloud):
     mesh = bpy.data.meshes.new("Panel")
     mesh.from_pydata([(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)], [], [(0, 1, 2, 3)])

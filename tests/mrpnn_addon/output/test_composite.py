@@ -31,6 +31,7 @@ def wall(scene, z):
     return blender_scenes.add_object(scene, "Wall", mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("z, before", [(-3.0, False), (3.0, True)])
 def test_the_layer_covers_surfaces_behind_it_and_is_covered_by_those_in_front(addon, scene, cloud, tmp_path, z, before):
     # The wall also blocks a little light from the layer.
@@ -160,6 +161,7 @@ def test_instances_of_a_collection_show_its_volumes_and_surfaces(addon, scene, c
     assert {**state(scene), "film": False} == before
 
 
+@pytest.mark.slow
 def test_the_scene_of_the_volumes_follows_the_first_one(addon, scene, cloud, tmp_path):
     bpy.ops.mrpnn.composite(shadows=False)
     volumes = bpy.data.scenes["Scene MRPNN"]

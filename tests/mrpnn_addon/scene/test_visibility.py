@@ -188,6 +188,7 @@ def test_ignored_settings_are_named(addon, scene, two):
     np.testing.assert_array_equal(found.volumes[1][0].density, before.volumes[1][0].density)
 
 
+@pytest.mark.slow
 def test_the_view_layers_filter_hides_what_it_hides_in_cycles(addon, scene, tmp_path):
     """A cloud on the left, fog in a mesh on the right, a World that lights both and stands behind them."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path)

@@ -47,6 +47,7 @@ def noisy(scene, cloud):
     return fog, noise
 
 
+@pytest.mark.slow
 def test_a_thread_reads_what_the_scene_reads_itself(addon, scene, cloud, reader, loading):
     """Files, textured meshes and instances; nothing is left to read on the main thread."""
     noisy(scene, cloud)
@@ -68,6 +69,7 @@ def test_a_thread_reads_what_the_scene_reads_itself(addon, scene, cloud, reader,
         np.testing.assert_array_equal(medium.sigma_t, own_medium.sigma_t)
 
 
+@pytest.mark.slow
 def test_blenders_main_thread_is_free_while_volumes_are_shaded(scene, cloud, reader, loading):
     """At most 0.2 processor seconds for reading the scene; the shader takes seconds."""
     fog, _ = noisy(scene, cloud)
