@@ -150,6 +150,7 @@ def _layer(
         return None
     matrices = np.moveaxis(matrices, -1, -2) if node.attributes.get("transB") else matrices
     columns = matrices.shape[-1]
+    # Rows of weights that are added to all rows of the products, and the name of the one other term.
     biases, added, nodes = np.zeros((matrices[..., 0, 0].size, columns), np.float32), "", [node]
     terms = list(node.inputs[2:])
     while True:
