@@ -18,6 +18,9 @@ from training.data.volumes import (
     make_volume,
 )
 
+# They make volumes and trace paths in them.
+pytestmark = pytest.mark.slow
+
 RESOLUTION = 40
 SEEDS = range(24)
 
@@ -48,7 +51,6 @@ def test_the_active_part_fills_the_cube_along_one_axis_and_is_centred(samples):
         assert np.abs(centres).max() < 0.08 * RESOLUTION, (seed, sample.kind, centres)
 
 
-@pytest.mark.slow
 def test_one_seed_gives_one_volume_and_another_seed_another():
     first, again, other = make_volume(2, 32), make_volume(2, 32), make_volume(8, 32)
     assert first.kind == again.kind == other.kind == "simulation"
@@ -72,7 +74,6 @@ def test_seeds_differ_in_character(samples):
     assert min(dense_share) < 0.05 and max(dense_share) > 0.9
 
 
-@pytest.mark.slow
 def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     seeds = [*SOLID_SEEDS[:8], *HELD_BACK_SOLIDS[:8]]
     samples = [make_volume(seed, RESOLUTION) for seed in seeds]
@@ -87,7 +88,6 @@ def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
 
 
-@pytest.mark.slow
 def test_saturated_seeds_give_clouds_and_smoke_with_homogeneous_cores():
     seeds = [*SATURATED_SEEDS[:8], *HELD_BACK_SATURATED[:8]]
     saturated = [make_volume(seed, RESOLUTION) for seed in seeds]
