@@ -179,6 +179,27 @@ def test_a_missing_onnxruntime_is_named(addon, monkeypatch):
     assert runtime.runtime_problem().startswith("onnxruntime, which MRPNN Volumes brings, is missing. Uninstall MRPNN")
 
 
+def test_a_zip_without_onnxruntime_says_so_and_takes_the_one_it_finds(addon, monkeypatch, tmp_path):
+    import build_extension
+
+    runtime = addon.mrpnn_addon.runtime.onnxruntime_version
+    name = "blender_manifest.toml"
+    files = build_extension.without_onnxruntime({name: (build_extension.ROOT / name).read_bytes()})
+    (tmp_path / name).write_bytes(files[name])
+    monkeypatch.setattr(runtime, "MANIFEST", tmp_path / name)
+    runtime.shipped_version.cache_clear()
+    try:
+        assert runtime.runtime_version() and runtime.runtime_problem() == "" and runtime.check_runtime() == []
+        monkeypatch.setattr(sys, "path", [])
+        for loaded in [loaded for loaded in sys.modules if loaded.partition(".")[0] == "onnxruntime"]:
+            monkeypatch.delitem(sys.modules, loaded)
+        assert runtime.runtime_problem() == "This zip of MRPNN Volumes brings no onnxruntime for Python {}.{}".format(
+            *sys.version_info
+        )
+    finally:
+        runtime.shipped_version.cache_clear()
+
+
 def test_the_shipped_onnxruntime_is_that_of_the_manifest(addon):
     """Of every platform and Python, and the tests run the one for theirs."""
     import onnxruntime
