@@ -20,10 +20,9 @@ from .image.layer import Layer, compose_layer
 from .image.predicted_error import error_is_known, expected_error
 from .image.reflected_light import open_volume, surface_light
 from .image.scattered_light import add_scattered_light
-from .image.sources import Source, prepare_sources, solve_transport
+from .image.sources import prepare_sources, solve_transport
 from .image.work_estimate import WorkEstimate
 from .kernels.library import load_kernels
-from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
 from .marching.lamp_in_media import LampInMedia, enclosed_warnings
 from .marching.marcher import Marcher
@@ -107,7 +106,7 @@ def _finished_parts(
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
             if cache is None or "unchanged" not in settings.leave_out:
-                cache = RenderCache(any_view=False)
+                cache = RenderCache()
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
             scene = prepare_scene(context, volumes, lights, camera, surfaces)
@@ -168,11 +167,9 @@ def _tiles(
 
     camera, shown = scene.camera, scene.shown
 
-    def march(window: Window) -> tuple[Tile, DepthSamples | None]:
+    def shade(window: Window) -> Tile:
         tile = Tile.of(camera, window, shown)
-        return tile, march_tile(context, scene, channel_pass, tile)
-
-    def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
+        samples = march_tile(context, scene, channel_pass, tile)
         if samples is not None:
             add_scattered_light(context, sources, tile, samples)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
@@ -182,24 +179,11 @@ def _tiles(
     (left, top, *_), tasks = camera.window, context.tasks
     pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.plan.tiles]
     windows = [scene.plan.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
-    if scene.plan.small and not context.cache.any_view:
-        context.progress.message("single scattering")
-        marched = list(tasks.map(march, windows))
-        view = [samples for _, samples in marched if samples is not None]
-        sources = _sources(context, scene, channel_pass, view)
-        context.progress.message("multiple scattering")
-        return tasks.map(lambda one: predict(*one), marched)
-    sources = _sources(context, scene, channel_pass, ())
+    # The light of environments is corrected by light paths.
+    sources = prepare_sources(context, scene, channel_pass)
+    sources = correct_environments(context, scene, channel_pass, sources)
     context.progress.message("single and multiple scattering")
-    return tasks.map(lambda window: predict(*march(window)), windows)
-
-
-def _sources(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
-) -> list[Source]:
-    """As `prepare_sources`, the light of environments corrected by light paths."""
-    sources = prepare_sources(context, scene, channel_pass, view)
-    return correct_environments(context, scene, channel_pass, sources)
+    return tasks.map(shade, windows)
 
 
 def _suns_of_passes(scene: PreparedScene) -> list[list[int]]:

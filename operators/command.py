@@ -16,7 +16,7 @@ import bpy
 from ..inference import available_models
 from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
-from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
+from ..inference.scene.optimizations import ALL, OPTIMIZATIONS, RETIRED
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.runtime.json_file import write_json
@@ -166,7 +166,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _optimizations(text: str) -> frozenset:
-    named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")))
+    named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")) - set(RETIRED.values()))
     if named <= ALL:
         return named
     raise argparse.ArgumentTypeError(

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
 from ..marching.joined_lamps import PredictedLamp
 from ..network.albedos import Albedos
@@ -23,7 +22,6 @@ from ..network.estimators import (
     Turn,
 )
 from ..network.placed_lights import PlacedSkies, PlacedSun
-from ..network.predictor import Bounds, VolumePredictor
 from ..plan.lights import PredictedSun
 from ..plan.plan import Channels, last_albedo
 from ..render_cache import ScatteringGroup
@@ -124,16 +122,12 @@ class Source:
         return sum(len(row.channels) / self.channels * values for row, values in zip(self.rows, rows))
 
 
-#: Lowest and highest (3,), in the cube's frame, of the points at which a predictor is asked.
-BoundsOf = Callable[[VolumePredictor], Bounds]
-
-
 @dataclass(frozen=True)
 class AskedGroup:
     """A group of volumes whose light is asked for in some colour channels.
 
-    number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. bounds: of the points.
-    camera: on whose rays they are, or None. holds: whether large lookup lattices are kept. Methods raise Cancelled.
+    number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. camera: on whose
+    rays they are, or None. holds: whether large lookup lattices are kept. Methods raise Cancelled.
     """
 
     context: RenderContext
@@ -141,7 +135,6 @@ class AskedGroup:
     number: int
     channels: Channels
     places: Sequence[int]
-    bounds: BoundsOf
     camera: Camera | None = None
     holds: bool = True
 
@@ -196,7 +189,7 @@ class AskedGroup:
     ) -> Source:
         """strength, features, turn: as of LightEstimator."""
         context, scene, predictor = self.context, self.scene, self.group.predictor
-        asked = self.sigma_t, light, self.bounds(predictor), scene.occluders, context.tasks
+        asked = self.sigma_t, light, scene.occluders, context.tasks
         estimator = LightEstimator(
             strength=strength,
             albedos=albedos,
@@ -224,7 +217,7 @@ class AskedGroup:
         assert opened is not None
         with context.progress.stage("lattices", 1):
             predictor = opened.predictor.prepare_environment(
-                scene.environment_network, environments, self.sigma_t, self.bounds(opened.predictor), context.tasks
+                scene.environment_network, environments, self.sigma_t, context.tasks
             )
         context.cancel.check()
         albedos = opened.predictor.albedos(
@@ -330,14 +323,8 @@ def solve_transport(
     return found
 
 
-def prepare_sources(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
-) -> list[Source]:
-    """What tells the light of every group in every light of a pass. Raises Cancelled.
-
-    view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
-    any view.
-    """
+def prepare_sources(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> list[Source]:
+    """What tells the light of every group in every light of a pass. Raises Cancelled."""
     plan, indices = scene.plan, channel_pass.channels.indices
     places = [channel_pass.scattering_place(c) if c in indices else 0 for c in range(3)]
     sources = prepare_emission(context, scene, channel_pass, places) if channel_pass.first else []
@@ -348,7 +335,6 @@ def prepare_sources(
             number=g,
             channels=channel_pass.channels,
             places=places,
-            bounds=functools.partial(lattice_bounds, context, plan.groups[g], view=view),
             camera=scene.camera,
         )
         for g, _ in scene.predicted(channel_pass.channels)
@@ -390,16 +376,3 @@ def prepare_emission(
             )
             sources.append(source)
     return sources
-
-
-def lattice_bounds(
-    context: RenderContext, members: list[int], predictor: VolumePredictor, view: Sequence[DepthSamples]
-) -> Bounds:
-    """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
-    if "unread_fields" not in context.settings.leave_out:
-        return np.full(3, -0.5), np.full(3, 0.5)
-    inside = [(samples, np.flatnonzero(samples.share(members))) for samples in view]
-    bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
-    if not bounds:
-        return predictor.extent()
-    return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
-#: Of the whole working cube.
-ANYWHERE: Bounds = (np.full(3, -0.5), np.full(3, 0.5))
 
 
 class PlacedLight(Protocol):
@@ -94,24 +92,16 @@ AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)
 class Conditions(Generic[AnyLight]):
     """One optical thickness and one light, in the frame of a volume's working cube.
 
-    sigma_hat: extinction per unit density times the cube's edge. bounds: lowest and highest (3,) of the points to
-    predict at. triangles: (T, 3, 3) of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of
-    those that triangles and the light's shadows stand for. albedo: for which the coarse transport alone is the light,
-    None where networks predict it.
+    sigma_hat: extinction per unit density times the cube's edge. triangles: (T, 3, 3) of black surfaces, in the cube's
+    frame, or None. occluders: `Occluders.key` of those that triangles and the light's shadows stand for. albedo: for
+    which the coarse transport alone is the light, None where networks predict it.
     """
 
     sigma_hat: float
     light: AnyLight
-    bounds: Bounds = ANYWHERE
     triangles: np.ndarray | None = None
     occluders: bytes = b""
     albedo: float | None = None
-
-    @property
-    def bounds_key(self) -> tuple[float, ...]:
-        """Equal for conditions with equal lattices of the density."""
-        low, high = self.bounds
-        return (self.sigma_hat, *low, *high)
 
     @property
     def key(self) -> Hashable:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..grids.working_cube import fit_cube
+from ..grids.working_cube import extent, fit_cube
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken
@@ -22,7 +22,7 @@ from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
 from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
-from .conditions import ANYWHERE, Bounds, Conditions, PlacedLight, PredictedLight
+from .conditions import Conditions, PlacedLight, PredictedLight
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import System
 from .placed_lights import PlacedSkies
@@ -62,6 +62,7 @@ class VolumePredictor:
     ):
         self.network, self.volume = network, volume
         self.cube, self.requested_anisotropy = fit_cube(volume), anisotropy
+        self.extent = extent(volume, self.cube)
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
         self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         self._lock = threading.Lock()
@@ -114,18 +115,6 @@ class VolumePredictor:
         thickness = BEYOND_THICKNESS * np.log(max(1.0 / self._used(sigma_t), 1.0))
         return float(np.hypot(thickness, BEYOND_ANISOTROPY * np.log(known / max(asked, 1e-3))))
 
-    def bounds(self, positions: np.ndarray) -> Bounds:
-        """Lowest and highest coordinates (3,), in the cube's frame, of world positions (N, 3)."""
-        points = self.cube.positions(positions)
-        return points.min(axis=0), points.max(axis=0)
-
-    def extent(self) -> Bounds:
-        """As `bounds`, of all points at which the density is above 0."""
-        ends = zip(self.cube.low - 1.0, self.cube.high * 1.0)
-        corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1)
-        matrix = self.volume.world_from_index
-        return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
-
     def taken_area(self, sigma_t: float) -> tuple[float, float]:
         """Area across a beam of what the volume takes of its light, and its optical depth if it were a slab.
 
@@ -149,21 +138,17 @@ class VolumePredictor:
         self,
         sigma_t: float,
         light: PredictedLight,
-        bounds: Bounds,
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> RadiancePredictor:
-        """What predicts for one extinction and light.
-
-        bounds: of the points to predict at, from `bounds`. Raises Cancelled.
-        """
-        key = (sigma_t, light.key, *light.albedos, *bounds[0], *bounds[1], occluders.key)
+        """What predicts for one extinction and light. Raises Cancelled."""
+        key = (sigma_t, light.key, *light.albedos, occluders.key)
         with tasks.cancel.locked(self._lock):
             if type(light) in self._last and self._last[type(light)][0] == key:
                 return self._last[type(light)][1]
             # Released before preparing a new one.
             self._last.pop(type(light), None)
-            conditions = self._conditions(sigma_t, light, bounds, occluders)
+            conditions = self._conditions(sigma_t, light, occluders)
             share, network = self.transport_share(light), None
             if share < 1.0:
                 peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
@@ -179,7 +164,7 @@ class VolumePredictor:
             found: RadiancePredictor | None = network
             if light.near and share > 0.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
-                nearby = self._rays.nearby(conditions, light.albedos, share, self.extent(), tasks)
+                nearby = self._rays.nearby(conditions, light.albedos, share, tasks)
                 found = NearbyPredictor(
                     nearby=nearby, light=light.near, cube=self.cube, network=network, outside=self.outside(sigma_t)
                 )
@@ -201,7 +186,7 @@ class VolumePredictor:
         """
         asked = []
         for light in lights:
-            conditions = self._conditions(sigma_t, light, ANYWHERE, occluders)
+            conditions = self._conditions(sigma_t, light, occluders)
             if light.albedos and self.transport_share(light) >= 1.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge, albedo=max(light.albedos))
             asked.append(conditions)
@@ -212,14 +197,13 @@ class VolumePredictor:
         network: EnvironmentNetwork,
         environments: Sequence[Environment],
         sigma_t: float,
-        bounds: Bounds,
         tasks: AnyTasks = SERIAL,
     ) -> PreparedEnvironment:
         """What predicts the light of environments for one extinction. Raises Cancelled.
 
-        network: beside this one. bounds: of the points to predict at, from `bounds`.
+        network: beside this one.
         """
-        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), bounds, NO_OCCLUDERS)
+        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), NO_OCCLUDERS)
         thickness = max(self.peak_sigma_hat(sigma_t), 1e-30)
         return self._rays.prepare_environment(network, conditions, thickness, tasks)
 
@@ -239,7 +223,7 @@ class VolumePredictor:
         """
         if self.volume.scattering is None or not self.network.needs_ray_features:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
-        conditions = self._conditions(sigma_t, light, ANYWHERE, occluders)
+        conditions = self._conditions(sigma_t, light, occluders)
         coarse, places = self._rays.varying_albedo(conditions, tasks)
         ahead = self.anisotropy * mean_free_path(coarse.density, conditions.sigma_hat)
         return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
@@ -251,14 +235,12 @@ class VolumePredictor:
 
     def transport_share(self, light: PredictedLight) -> float:
         """Share of the coarse transport alone in a light's multiple scattering, 0 to 1."""
-        return light.near.transport_share(self.extent()) if light.near else 0.0
+        return light.near.transport_share(self.extent) if light.near else 0.0
 
-    def _conditions(
-        self, sigma_t: float, light: AnyLight, bounds: Bounds, occluders: Occluders
-    ) -> Conditions[AnyLight]:
+    def _conditions(self, sigma_t: float, light: AnyLight, occluders: Occluders) -> Conditions[AnyLight]:
         triangles = self.cube.positions(occluders.triangles) if occluders else None
         sigma_hat = sigma_t * self.cube.edge * (1.0 if light.any_thickness else self._used(sigma_t))
-        return Conditions(sigma_hat, light, bounds, triangles, occluders.key)
+        return Conditions(sigma_hat, light, triangles, occluders.key)
 
     def _used(self, sigma_t: float) -> float:
         """Ratio of the optical thickness within the network's range to the true one."""

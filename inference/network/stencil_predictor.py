@@ -23,7 +23,7 @@ from ..features.mip_lattices import (
 from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
 from ..grids.halving import halve
-from ..grids.working_cube import Cube
+from ..grids.working_cube import Cube, extent
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -42,7 +42,7 @@ from ..transport.scattered_fluence import (
     moment_lattice,
 )
 from ..transport.varying_albedo import CoarseAlbedo
-from .conditions import Bounds, Conditions, LitConditions, PlacedLight, RayPoints
+from .conditions import Conditions, LitConditions, PlacedLight, RayPoints
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PointNetwork, Predictor, PreparedPrediction
@@ -74,8 +74,9 @@ class StencilPredictor(Predictor):
     ):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
         self._lock = threading.Lock()
-        self._lattices: tuple[tuple[float, ...], Lattices] | None = None
-        self.volume = volume
+        # Of the last optical thickness.
+        self._lattices: tuple[float, Lattices] | None = None
+        self.volume, self.extent = volume, extent(volume, cube)
         self.padded = padded_pyramid(volume, cube, network.points, cancel)
         self._read_pyramid()
 
@@ -95,14 +96,12 @@ class StencilPredictor(Predictor):
         sun = SunLevels(unit_optical_depths(self.padded, light.direction), visibility)
         with tasks.cancel.locked(self._lock):
             earlier = None
-            if self._lattices is not None and self._lattices[0] == conditions.bounds_key:
+            if self._lattices is not None and self._lattices[0] == conditions.sigma_hat:
                 earlier = self._lattices[1]
             # Released before building new ones.
             self._lattices = None
-            lattices = build_lattices(
-                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier
-            )
-            self._lattices = conditions.bounds_key, lattices
+            lattices = build_lattices(self.padded, conditions.sigma_hat, stencil, sun, self.extent, tasks.each, earlier)
+            self._lattices = conditions.sigma_hat, lattices
         lookup = FieldLookup(stencil, lattices, light.direction)
         return PreparedStencil(self.network, lookup, self.phase, self.anisotropy)
 
@@ -239,16 +238,16 @@ class RayPredictor(StencilPredictor):
 
     def _density_lattices(self, conditions: Conditions[PlacedLight], tasks: AnyTasks) -> Lattices:
         """Lattices of the density, which serve every light."""
-        if self._lattices is None or self._lattices[0] != conditions.bounds_key:
+        if self._lattices is None or self._lattices[0] != conditions.sigma_hat:
             self._lattices = None
             lattices = build_lattices(
                 self.padded,
                 conditions.sigma_hat,
                 self.network.points,
-                bounds=conditions.bounds,
+                bounds=self.extent,
                 mapper=tasks.each,
             )
-            self._lattices = conditions.bounds_key, lattices
+            self._lattices = conditions.sigma_hat, lattices
         return self._lattices[1]
 
     def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
@@ -271,17 +270,16 @@ class RayPredictor(StencilPredictor):
         conditions: LitConditions,
         albedos: Sequence[float],
         share: float,
-        extent: Bounds,
         tasks: AnyTasks = SERIAL,
     ) -> LampNearby:
-        """The transport of a near light for some albedos; share, extent: as in LampNearby. Raises Cancelled."""
+        """The transport of a near light for some albedos; share: as in LampNearby. Raises Cancelled."""
         assert conditions.light.near is not None
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve(replace(conditions, albedo=albedo), tasks.cancel) for albedo in albedos}
         lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         start = conditions.light.near.soft_start(conditions.sigma_hat, density)
-        return LampNearby(share, lights, self.anisotropy, density, extent, start)
+        return LampNearby(share, lights, self.anisotropy, density, self.extent, start)
 
     def varying_albedo(
         self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL

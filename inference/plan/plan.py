@@ -50,9 +50,6 @@ from .resolution import BAND
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
 TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 6
-# Lookup lattices are built for the points of the view alone where the image has at most so many pixels, because all of
-# their depth samples are held meanwhile.
-VIEW_PIXELS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -151,11 +148,6 @@ class Plan(SceneLights):
     def predicted_suns(self, numbers: Sequence[int] | None = None) -> list[PredictedSun]:
         """Those of some suns, by number, or of all; `parts` are places among these."""
         return predicted_suns(self.suns if numbers is None else [self.suns[n] for n in numbers])
-
-    @property
-    def small(self) -> bool:
-        """Whether lookup lattices are built for the points of the view alone."""
-        return sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.tiles) <= VIEW_PIXELS
 
 
 def last_albedo(volume: Volume, medium: Medium) -> np.ndarray:
@@ -363,8 +355,6 @@ def plan_tiles(
     for bands in TILE_BANDS:
         tiles = make_tiles(camera.window, bands)
         pixels = min(threads, len(tiles)) * _largest(tiles)
-        if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
-            pixels = (x1 - x0) * (y1 - y0)
         needed = memory + pixels * ray
         if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
             break

@@ -38,7 +38,6 @@ class GroupRadiance:
             number=g,
             channels=channels,
             places=(0, 0, 0),
-            bounds=lambda predictor: predictor.extent(),
             # Lookup lattices of networks without ray features differ from sun to sun.
             holds=network is not None and network.needs_ray_features,
         )

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from .errors import SceneError
-from .optimizations import ALL
+from .optimizations import ALL, RETIRED
 
 #: Factors of depth samples on rays that pass lamps near volumes: odd numbers, so that nodes of a quadrature stay in the
 #: middle of a stratum.
@@ -48,7 +48,7 @@ class Settings:
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):
                 raise SceneError(f"{name} must be a whole number from {least} to {most}, not {value}")
-        self.leave_out = frozenset(self.leave_out)
+        self.leave_out = frozenset(self.leave_out) - set(RETIRED.values())
         unknown = sorted(self.leave_out - ALL)
         if unknown:
             raise SceneError(f"there is no optimization called {unknown[0]!r}; there are: {', '.join(sorted(ALL))}")

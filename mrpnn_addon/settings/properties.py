@@ -7,7 +7,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ...inference import Settings
-from ...inference.scene.optimizations import ALL, OPTIMIZATIONS
+from ...inference.scene.optimizations import ALL, OPTIMIZATIONS, numbers
 from .models import model_items
 from .preferences import machine
 
@@ -28,8 +28,8 @@ _PRESET_ITEMS = [
 ]
 
 _OPTIMIZATION_ITEMS = [
-    (name, optimization.title, optimization.what, "NONE", 1 << number)
-    for number, (name, optimization) in enumerate(OPTIMIZATIONS.items())
+    (name, OPTIMIZATIONS[name].title, OPTIMIZATIONS[name].what, "NONE", 1 << number)
+    for name, number in numbers().items()
 ]
 
 # The scene's choice to follow the preferences.

@@ -379,7 +379,7 @@ def test_training_inputs_equal_those_of_rendering():
         x, w = cube.positions(position), cube.directions(omega)
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
             predictor = VolumePredictor(loaded, volume, rows["anisotropy"][row])
-            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube), predictor.bounds(position)).prediction
+            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube)).prediction
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
             assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(

@@ -167,7 +167,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
         predictor = VolumePredictor(network.load_network("rpnn"), volume, 0.857)
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
-        prepared = predictor.prepare(sigma_t, PlacedSun(Sun(data["sun"][kept[i]]), cube), predictor.bounds(position))
+        prepared = predictor.prepare(sigma_t, PlacedSun(Sun(data["sun"][kept[i]]), cube))
         np.testing.assert_allclose(prepared.predict(RayPoints(position, omega), [1.0])[0, 0], trained[i], rtol=5e-3)
 
 
