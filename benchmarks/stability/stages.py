@@ -4,10 +4,10 @@
 import numpy as np
 
 from inference.features.mip_lattices import density_pyramid
-from inference.features.phase_features import cumulative_phase
 from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.working_cube import fit_cube, level0_density
+from inference.paper.phase_features import cumulative_phase
 from inference.scene.phase_function import henyey_greenstein
 from tests.reference.march import mean_transmittance
 from tests.reference.ray_features import SampleSteps, gather_ray_features

@@ -151,11 +151,9 @@ class _Bake:
         points = sum(wanted)
         if self.context.settings.directional:
             points += sum(self._directional(v, voxels) for v, voxels in enumerate(wanted))
-        needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
-        progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
+        progress.expect("transport", jobs * len(plan.groups))
         progress.expect("lattices", jobs * len(plan.groups))
-        marched = needs_fluence or bool(self.scene.environments or plan.lamps)
-        progress.expect("march", 60.0 * points * len(plan.channels) if marched else 0.0)
+        progress.expect("march", 60.0 * points * len(plan.channels))
         progress.expect("network", points * jobs)
 
     def _directional(self, v: int, voxels: float) -> float:

@@ -58,7 +58,7 @@ class _TileRays:
 def march_tile(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
 ) -> DepthSamples | None:
-    """Add single scattering to the tile, and in the channels' first pass emission, alpha and depth.
+    """Add single scattering to the tile, emission, alpha and depth.
 
     Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
@@ -83,7 +83,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
     size = _rays_per_task(context, scene, counts)
     shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
-    means = _means_around_lamps(scene, channel_pass, tile, rays) if channel_pass.lamps else []
+    means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
     for start in range(0, len(rays.pixel), size):
         context.cancel.check()
         some = slice(start, start + size)
@@ -178,7 +178,7 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     """Add what a batch of rays gathered to the tile."""
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
-    suns = [scene.plan.suns[l] for l in channel_pass.suns]
+    suns = scene.plan.suns
     linked, known = scene.plan.linking(suns), {}
     for c in indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
@@ -188,8 +188,6 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
         if key not in known:
             known[key] = summed(pixel, np.einsum("rvl,vl,r->r", marched.single[..., place], light, weight))
         framebuffer.single[pixel[0] : pixel[0] + len(known[key]), c] += known[key]
-    if not channel_pass.first:
-        return
     if emission is not None:
         for number, c in enumerate(indices):
             add_at(framebuffer.emission[:, c], pixel, emission[:, number] * weight)
@@ -239,22 +237,19 @@ class _Shading:
     def __init__(self, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera):
         suns = scene.plan.suns
         self.extended_lights, self.camera = scene.extended_lights, camera
-        self.directions = np.array([suns[l].direction for l in channel_pass.suns]).reshape(-1, 3)
-        extended = [l for l, sun in enumerate(suns) if sun.spread is not None]
-        # Their places among the suns of the pass, and among the extended ones.
-        self.extended = [place for place, l in enumerate(channel_pass.suns) if l in extended]
-        self.used = [place for place, l in enumerate(extended) if l in channel_pass.suns]
+        self.directions = np.array([sun.direction for sun in suns]).reshape(-1, 3)
+        self.extended = [number for number, sun in enumerate(suns) if sun.spread is not None]
         self.phases = [medium.medium.scattered for medium in channel_pass.media]
 
     def single(self, segment: RaySegment, batch: RayBatch, pixel: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Single scattering (R, V, L, S) of a batch's rays by volume and sun, as in RaySegment, for irradiance 1."""
         cosine = product(batch.directions, self.directions.T)
         phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
-        if self.extended_lights is None or not self.extended:
+        if self.extended_lights is None:
             return segment.single * phase[..., None]
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
-        towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)[..., self.used]
+        towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
         phase[..., self.extended] = towards
         # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth

@@ -76,7 +76,7 @@ def _mean_depths(
     context: RenderContext, scene: PreparedScene, channels: Channels, pixels: int
 ) -> list[MeanLampDepth | None]:
     """Of each lamp, where that is worth it. Raises Cancelled."""
-    media = scene.media(channels, [])
+    media = scene.media(channels, lit=False)
     if len(media) != 1 or "soft_shadows" not in scene.plan.optimizations:
         return [None] * len(scene.lamps)
     found: list[MeanLampDepth | None] = []

@@ -101,7 +101,7 @@ def surface_light(
     sunlit, lamplit = (linking(lights, names)[seen.owner] for lights in (plan.suns, plan.lamps))
     sunned, lamped = (plan.linking(lights).any(axis=0) for lights in (plan.suns, plan.lamps))
     for channels in scene.plan.channels:
-        c, media = channels.indices, scene.media(channels, list(range(len(scene.plan.suns))))
+        c, media = channels.indices, scene.media(channels)
         for number, sun in enumerate(scene.plan.suns):
             cancel.check()
             light = _sun_light(sun, seen) * sunlit[:, number]

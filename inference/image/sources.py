@@ -30,7 +30,7 @@ from ..scene.environment import Environment
 from ..transport.scattered_fluence import ScatteredFluence
 from .context import ChannelPass, PreparedScene, RenderContext
 from .lamp_pass import placed_lamps
-from .predicted_error import MODELS, SCATTERED_EMISSION, environment_deviation
+from .predicted_error import SCATTERED_EMISSION, environment_deviation
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class AskedGroup:
     """A group of volumes whose light is asked for in some colour channels.
 
     number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. camera: on whose
-    rays they are, or None. holds: whether large lookup lattices are kept. Methods raise Cancelled.
+    rays they are, or None. Methods raise Cancelled.
     """
 
     context: RenderContext
@@ -136,7 +136,6 @@ class AskedGroup:
     channels: Channels
     places: Sequence[int]
     camera: Camera | None = None
-    holds: bool = True
 
     @property
     def group(self) -> ScatteringGroup:
@@ -150,9 +149,9 @@ class AskedGroup:
         """Its extinction."""
         return float(self.group.medium.sigma_t[self.channels.indices[0]])
 
-    def suns(self, numbers: Sequence[int]) -> Iterator[Source]:
-        """Of suns by number, the parts of a soft one together."""
-        for one in self.scene.plan.predicted_suns(numbers):
+    def suns(self) -> Iterator[Source]:
+        """Of all suns, the parts of a soft one together."""
+        for one in self.scene.plan.predicted_suns():
             if self.scene.plan.lights_group(one.sun, self.number):
                 light = PlacedSun(one.sun, self.group.predictor.cube, self.scene.occluders)
                 anisotropy, cancel = self.group.medium.anisotropy, self.context.cancel
@@ -189,23 +188,20 @@ class AskedGroup:
     ) -> Source:
         """strength, features, turn: as of LightEstimator."""
         context, scene, predictor = self.context, self.scene, self.group.predictor
-        asked = self.sigma_t, light, scene.occluders, context.tasks
+        with context.progress.stage("lattices", 1):
+            prepared = predictor.prepare(self.sigma_t, light, scene.occluders, context.tasks)
+            context.report.count("cells of lookup fields", prepared.lattice_cells)
         estimator = LightEstimator(
             strength=strength,
             albedos=albedos,
-            prepare=functools.partial(predictor.prepare, *asked),
+            predictor=prepared,
             features=features,
             turn=turn,
             uncertainty=scene.uncertainty_network,
-            holds=self.holds,
         )
-        if self.holds:
-            with context.progress.stage("lattices", 1):
-                context.report.count("cells of lookup fields", estimator.predictor.lattice_cells)
         context.cancel.check()
         lights = len(scene.plan.suns) + len(scene.plan.lamps)
-        alone = self.holds and estimator.predictor.alone
-        return self._source(estimator, self._model_error, lights=lights, needs_detail=alone)
+        return self._source(estimator, self._model_error, lights=lights, needs_detail=prepared.alone)
 
     def environments(self, environments: Sequence[Environment]) -> Source:
         """Of environments together."""
@@ -231,7 +227,8 @@ class AskedGroup:
         return self._source(EnvironmentEstimator(indices, albedos, predictor), environment_deviation)
 
     def _model_error(self, albedo: float) -> float:
-        return MODELS.get(self.context.settings.model, 0.0)
+        network = self.scene.network
+        return (network and network.deviation) or 0.0
 
     def _source(
         self, estimator: Estimator, relative: Callable[[float], float], lights: int = 0, needs_detail: bool = False
@@ -297,18 +294,15 @@ def solve_transport(
     context: RenderContext,
     scene: PreparedScene,
     channels: Channels,
-    suns: Sequence[int],
     groups: Sequence[int] | None = None,
 ) -> list[ScatteredFluence | None] | None:
-    """Scattered fluence of each group in which multiple scattering is predicted, or of some groups, of some suns.
+    """Scattered fluence of each group in which multiple scattering is predicted, or of some groups, of the suns.
 
-    None for networks that need no ray features, without suns and without multiple scattering. Raises Cancelled.
+    None for networks that read no ray features, without suns and without multiple scattering. Raises Cancelled.
     """
-    network = scene.network
-    wanted = context.settings.multiple and scene.plan.suns
-    if network is None or not network.needs_ray_features or not wanted:
+    if scene.network is None or not (context.settings.multiple and scene.plan.suns):
         return None
-    joined = scene.plan.predicted_suns(suns)
+    joined = scene.plan.predicted_suns()
     of_part = {part: number for number, one in enumerate(joined) for part in one.parts}
     found: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
@@ -319,15 +313,15 @@ def solve_transport(
             with context.progress.stage("transport", len(joined)):
                 lights = [PlacedSun(one.sun, group.predictor.cube, scene.occluders) for one in joined]
                 fluence = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-            found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(suns))])
-    return found
+            found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(scene.plan.suns))])
+    return None if all(fluence is None for fluence in found) else found
 
 
 def prepare_sources(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> list[Source]:
     """What tells the light of every group in every light of a pass. Raises Cancelled."""
     plan, indices = scene.plan, channel_pass.channels.indices
     places = [channel_pass.scattering_place(c) if c in indices else 0 for c in range(3)]
-    sources = prepare_emission(context, scene, channel_pass, places) if channel_pass.first else []
+    sources = prepare_emission(context, scene, channel_pass, places)
     groups = [
         AskedGroup(
             context=context,
@@ -341,10 +335,10 @@ def prepare_sources(context: RenderContext, scene: PreparedScene, channel_pass: 
     ]
     with context.report.stage("fields"):
         for group in groups if context.settings.multiple else ():
-            sources += group.suns(channel_pass.suns)
-            if channel_pass.lamps and plan.predicts_lamps:
+            sources += group.suns()
+            if scene.lamps and plan.predicts_lamps:
                 sources += group.lamps()
-        if scene.environment_network is not None and channel_pass.first:
+        if scene.environment_network is not None:
             sources += [group.environments(scene.environments) for group in groups]
     return sources
 

@@ -74,7 +74,7 @@ class PreparedEnvironment:
         positions, omega = points.positions, points.directions
         first, view = distinct_rows(omega)
         count, channels = len(positions), self.radiance.shape[1] // shares.shape[1]
-        density = self.lookup(positions, omega[first], view, points.jitter)[:, : self.low, 0]
+        density = self.lookup(positions, omega[first], view, points.jitter)[:, : self.low]
         depths = self.depths(positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
         probes = probe_positions(positions, omega, depths, self.sigma_hat)

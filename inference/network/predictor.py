@@ -4,7 +4,7 @@
 import threading
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -24,10 +24,9 @@ from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions, PlacedLight, PredictedLight
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import System
+from .interfaces import EveryLightPredictor, System
 from .placed_lights import PlacedSkies
 from .prepared_predictors import NearbyPredictor, PreparedPredictor, RadiancePredictor
-from .stencil_predictor import RayPredictor
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight)
 
@@ -70,10 +69,9 @@ class VolumePredictor:
         self._last: dict[type, tuple[Hashable, RadiancePredictor]] = {}
 
     @property
-    def _rays(self) -> RayPredictor:
-        """What reads the volume for a network that needs ray features."""
-        assert isinstance(self._predictor, RayPredictor)
-        return self._predictor
+    def _every_light(self) -> EveryLightPredictor:
+        """What reads the volume for a network that predicts every kind of light."""
+        return cast(EveryLightPredictor, self._predictor)
 
     def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
         """Properties of a medium and of occluders that the network does not support.
@@ -94,7 +92,7 @@ class VolumePredictor:
                 found.append(
                     f"{name}: albedo {albedo:g} is outside the network's range; multiple scattering uses {used:g}"
                 )
-        if self.volume.scattering is not None and not network.needs_ray_features:
+        if self.volume.scattering is not None and not self._predictor.respects_albedo:
             found.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
         peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
         if peak > most:
@@ -120,7 +118,7 @@ class VolumePredictor:
 
         Means over the axes of its cube.
         """
-        coarse = self._rays.coarse
+        coarse = self._every_light.coarse
         depths = np.concatenate([sigma_t * self.cube.edge * coarse.mean(axis=axis).ravel() for axis in range(3)])
         taken = float(-np.expm1(-depths.astype(np.float64)).mean())
         slabs = np.geomspace(1e-3, 1e3, 200)
@@ -131,7 +129,7 @@ class VolumePredictor:
         self, positions: np.ndarray, normals: np.ndarray, sigma_t: float, albedo: float
     ) -> SurfaceIrradiance:
         """Of world positions (N, 3) with normals (N, 3), by the coarse transport for an extinction and an albedo."""
-        solver = self._rays.coarser_solver(sigma_t * self.cube.edge, albedo)
+        solver = self._every_light.coarser_solver(sigma_t * self.cube.edge, albedo)
         return SurfaceIrradiance(solver, self.cube, positions, normals)
 
     def prepare(
@@ -164,7 +162,7 @@ class VolumePredictor:
             found: RadiancePredictor | None = network
             if light.near and share > 0.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
-                nearby = self._rays.nearby(conditions, light.albedos, share, tasks)
+                nearby = self._every_light.nearby(conditions, light.albedos, share, tasks)
                 found = NearbyPredictor(
                     nearby=nearby, light=light.near, cube=self.cube, network=network, outside=self.outside(sigma_t)
                 )
@@ -179,10 +177,9 @@ class VolumePredictor:
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence | None:
-        """Scattered light of lights for lookups along camera rays. Raises Cancelled.
+        """As of `Predictor`: what networks read, for albedo 1.
 
-        That which networks read, for albedo 1; where they do not predict it, that for the largest albedo. Only for
-        networks that need ray features.
+        Where they do not predict it, that for the largest albedo. Raises Cancelled.
         """
         asked = []
         for light in lights:
@@ -205,7 +202,7 @@ class VolumePredictor:
         """
         conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), NO_OCCLUDERS)
         thickness = max(self.peak_sigma_hat(sigma_t), 1e-30)
-        return self._rays.prepare_environment(network, conditions, thickness, tasks)
+        return self._every_light.prepare_environment(network, conditions, thickness, tasks)
 
     def albedos(
         self,
@@ -221,10 +218,10 @@ class VolumePredictor:
 
         optimizations: those in use.
         """
-        if self.volume.scattering is None or not self.network.needs_ray_features:
+        if self.volume.scattering is None or not self._predictor.respects_albedo:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
         conditions = self._conditions(sigma_t, light, occluders)
-        coarse, places = self._rays.varying_albedo(conditions, tasks)
+        coarse, places = self._every_light.varying_albedo(conditions, tasks)
         ahead = self.anisotropy * mean_free_path(coarse.density, conditions.sigma_hat)
         return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
 

@@ -13,9 +13,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..models.weights_file import read_weights
 from ..onnx.session import Session
 from ..scene.errors import SceneError
-from .weights_file import read_weights
 
 # By the names in Settings. The shipped onnxruntime has CPU alone, and CoreML on macOS.
 PROVIDERS = {

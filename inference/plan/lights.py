@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..models.abilities import abilities
 from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.emitters import solid_angles
 from ..scene.environment import Environment
@@ -18,10 +19,6 @@ from .directional_lights import directional_lights
 
 AnyLight = TypeVar("AnyLight", bound=Light)
 
-#: Networks beside which there is one for light from everywhere.
-ENVIRONMENT_MODELS = frozenset({"mrpnn"})
-#: Networks that know lamps: those that read the light along camera rays.
-LAMP_MODELS = frozenset({"mrpnn"})
 #: Why environments are computed as suns where a scene has surfaces.
 SURFACES_SHADOW = "surfaces shadow it"
 # Most surfaces that shine as lamps, the brightest; the others are what the middle of the volumes sees of them, as are
@@ -45,7 +42,7 @@ def split_lights(
     """
     families = Families.of(lights)
     suns, bright = families.suns, shining(families.environments, left_out)
-    if settings.model not in ENVIRONMENT_MODELS:
+    if not abilities(settings.model).every_light:
         parallel = f"the network {settings.model} knows suns alone"
     environments = []
     for environment in bright:
@@ -181,7 +178,7 @@ def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: lis
     if not lit:
         return False
     names = lit[0] + (f" and {len(lit) - 1} more" if len(lit) > 1 else "")
-    if settings.model not in ENVIRONMENT_MODELS:
+    if not abilities(settings.model).every_light:
         left_out.append(f"light of {names}: the network {settings.model} knows suns alone")
         return False
     planned.append(f"light of {names}, as an environment around the middle of the volumes")

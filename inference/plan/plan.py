@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..models.abilities import abilities
 from ..occluders.seen_surfaces import OpenSky, behind, open_sky, vantage
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
@@ -20,7 +21,6 @@ from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .joined_lamps import joined_lamps
 from .lights import (
-    LAMP_MODELS,
     SURFACES_SHADOW,
     PredictedSun,
     linked_lights,
@@ -145,9 +145,9 @@ class Plan(SceneLights):
             for v in self.groups[group]
         )
 
-    def predicted_suns(self, numbers: Sequence[int] | None = None) -> list[PredictedSun]:
-        """Those of some suns, by number, or of all; `parts` are places among these."""
-        return predicted_suns(self.suns if numbers is None else [self.suns[n] for n in numbers])
+    def predicted_suns(self) -> list[PredictedSun]:
+        """The suns, the parts of each soft one together."""
+        return predicted_suns(self.suns)
 
 
 def last_albedo(volume: Volume, medium: Medium) -> np.ndarray:
@@ -292,7 +292,7 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         unhidden = environments
         environments = [behind(environment, sky) for environment in unhidden for sky in skies]
     # Surfaces shadow each part of a soft sun differently.
-    if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
+    if surfaces or not abilities(settings.model).every_light or "soft_suns" not in settings.leave_out:
         suns = [replace(sun, part_of=None) for sun in suns]
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
@@ -304,7 +304,7 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         for one in predicted_suns(suns)
         if len(one.parts) > 1
     ]
-    predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
+    predicts_lamps = settings.multiple and abilities(settings.model).every_light
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
     if "distant_lamps" in settings.leave_out:
@@ -347,6 +347,7 @@ def plan_tiles(
     different = lights.skies + bool(lights.reflects and lights.environments)
     memory += different * SKY_BYTES if different > 1 else 0
     memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
+    memory += len(scene.groups) * len(suns) * abilities(settings.model).light_bytes
     depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)
     ray = ray_bytes(depth_samples, len(rendered), len(suns) + len(lights.lamps))
     x0, y0, x1, y1 = camera.window

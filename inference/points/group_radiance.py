@@ -29,25 +29,17 @@ class GroupRadiance:
     """
 
     def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels) -> None:
-        plan, network = scene.plan, scene.network
+        plan = scene.plan
         self._context, self._scene, self._members = context, scene, plan.groups[g]
-        self._suns, self._channels = list(range(len(plan.suns))), channels
-        asked = AskedGroup(
-            context=context,
-            scene=scene,
-            number=g,
-            channels=channels,
-            places=(0, 0, 0),
-            # Lookup lattices of networks without ray features differ from sun to sun.
-            holds=network is not None and network.needs_ray_features,
-        )
+        self._channels = channels
+        asked = AskedGroup(context=context, scene=scene, number=g, channels=channels, places=(0, 0, 0))
         returned = scene.thrown_back
         skies = [environment for environment in scene.environments if environment is not returned]
         context.progress.message(f"multiple scattering of {plan.group_name(g)}")
-        fluence = solve_transport(context, scene, channels, self._suns, [g])
+        fluence = solve_transport(context, scene, channels, [g])
         lamps = prepare_lamp_march(context, scene, channels) if scene.lamps and plan.predicts_lamps else None
         with context.report.stage("fields"):
-            self.sources = list(asked.suns(self._suns))
+            self.sources = list(asked.suns())
             if lamps is not None:
                 self.sources += asked.lamps()
             if scene.environment_network is not None and skies:
@@ -68,7 +60,7 @@ class GroupRadiance:
         return replace(lamps, lamps=own, fluence=[lamps.fluence[g]])
 
     def _media(self, lit: bool) -> list[BoundMedium]:
-        media = self._scene.media(self._channels, self._suns if lit else [])
+        media = self._scene.media(self._channels, lit)
         return [media[v] for v in self._members]
 
     def _prepare_march(self, fluence: ScatteredFluence | None, lamps: LampMarch | None) -> Marcher:
@@ -109,8 +101,7 @@ class GroupRadiance:
 
     def _told(self, source: Source, points: LitPoints) -> Iterator[tuple[slice, dict, int]]:
         """Yield batches of points, what is told there, and how many these are."""
-
-        estimator = source.estimator.ready()
+        estimator = source.estimator
 
         def task(span: slice) -> tuple[slice, dict, int]:
             some = points.span(span)
@@ -125,7 +116,7 @@ class GroupRadiance:
             # Where a ray meets no density, nothing lies ahead.
             suns, lamps = (
                 np.zeros((count, 1, lights, COLUMNS), np.float32)
-                for lights in (len(self._suns), len(self._scene.lamps))
+                for lights in (len(self._scene.plan.suns), len(self._scene.lamps))
             )
 
             def keep(first: int, segment: RaySegment) -> None:

@@ -14,7 +14,7 @@ from benchmarks.fidelity.measurements import Measurement
 from benchmarks.fidelity.references import relative_variance
 from benchmarks.support import pages
 from inference.evaluation.error import relative_bias
-from inference.network import weights_file
+from inference.models import weights_file
 from training.data.volumes import HELD_BACK
 from training.export import export, save
 from training.networks import MRPNN, RPNN

@@ -24,7 +24,7 @@ from inference import (
 from inference.grids.grid import Grid
 from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_in_media import place_lamp
-from inference.network.stencil_predictor import RayPredictor
+from inference.network.ray_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
 from inference.scene.emitters import LampSource, solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS

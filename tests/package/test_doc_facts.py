@@ -150,7 +150,7 @@ FACTS = [
     (
         "docs/method-details.md",
         r"behind an optical depth of (\d+)\.",
-        "inference.features.mip_lattices",
+        "inference.paper.sun_lattices",
         ("MAX_SHADOW_DEPTH",),
     ),
     ("docs/method.md", r"of (\d+) radiances L_k", "inference.network.environment_features", ("CANDIDATES",)),

@@ -212,23 +212,21 @@ def pyramid(random: np.random.Generator) -> None:
     halve(part, np.empty((7, 9, 5), np.float32))
     source, fine = tuple(random.integers(2, 9, 3).tolist()), tuple(random.integers(1, 20, 3).tolist())
     between = Between.of([random.uniform(-3.0, 12.0, n) for n in fine], source)
-    grids = [between.described(spoiled(random, source) if random.random() < 0.8 else None) for _ in range(3)]
+    names = [name for name in ("density", "depth", "visibility") if random.random() < 0.8]
+    grids = {name: between.described(spoiled(random, source)) for name in names}
     scales = 10.0 ** random.uniform(-6.0, 6.0, 3)
     scratch = np.empty(2 * fine[2] + source[2], np.float32)
-    packed = np.empty((*fine, 2), np.uint16)
+    packed = np.empty(fine, np.uint16)
     call(
         "fill_lattice",
         shape=np.array(fine),
-        density=grids[0],
-        depth=grids[1],
-        visibility=grids[2],
         density_scale=scales[0],
         density_step=scales[1],
         depth_scale=scales[2],
         least_visible=0.1,
         packed=packed,
-        columns=2,
         scratch=scratch,
+        **grids,
     )
 
 

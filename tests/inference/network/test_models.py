@@ -10,7 +10,7 @@ import torch
 
 import training.reference
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
-from inference.network import weights_file
+from inference.models import weights_file
 from inference.scene import SceneError
 from training.data.seeded_volume import cube_volume
 from training.export import export, save

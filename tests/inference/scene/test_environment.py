@@ -6,14 +6,25 @@ import math
 import numpy as np
 import pytest
 
-from inference import Camera, Environment, Medium, RenderCache, SceneError, Settings, Sun, Volume, render
+from inference import (
+    Camera,
+    Environment,
+    Medium,
+    RenderCache,
+    SceneError,
+    Settings,
+    Sun,
+    Volume,
+    available_models,
+    render,
+)
+from inference.models.abilities import abilities
+from inference.models.weights_file import WEIGHTS
 from inference.network import environment_features as features
 from inference.network.baselines import register_baselines
 from inference.network.environment_network import FOLDER, load_environment_network
 from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
-from inference.network.weights_file import WEIGHTS
-from inference.plan.lights import ENVIRONMENT_MODELS
 from inference.plan.plan import make_plan
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
@@ -226,7 +237,8 @@ def test_every_candidate_is_the_radiance_of_even_light():
 
 
 def test_every_network_for_environments_stands_beside_one_for_suns():
-    assert {path.stem for path in (WEIGHTS / FOLDER).glob("*.onnx")} == ENVIRONMENT_MODELS
+    beside = {path.stem for path in (WEIGHTS / FOLDER).glob("*.onnx")}
+    assert beside == {name for name in available_models() if abilities(name).every_light} == {"mrpnn"}
     network = load_environment_network("mrpnn")
     random = np.random.default_rng(2)
     x = random.normal(size=(30, features.COLUMNS)).astype(np.float32)

@@ -8,8 +8,14 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from inference import Sun
-from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
-from inference.features.rpnn_lattice import (
+from inference.features.mip_lattices import density_pyramid, padded_levels
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.models import weights_file
+from inference.network import network
+from inference.network.conditions import RayPoints
+from inference.network.placed_lights import PlacedSun
+from inference.network.predictor import VolumePredictor
+from inference.paper.rpnn_lattice import (
     FINE,
     LEVELS,
     POINTS,
@@ -18,11 +24,7 @@ from inference.features.rpnn_lattice import (
     refined_levels,
     sun_frames,
 )
-from inference.grids.working_cube import fit_cube, level0_density
-from inference.network import network, weights_file
-from inference.network.conditions import RayPoints
-from inference.network.placed_lights import PlacedSun
-from inference.network.predictor import VolumePredictor
+from inference.paper.sun_lattices import unit_optical_depths
 from training.data import lattice_rows
 from training.data.descriptors import Levels, describe_points
 from training.data.seeded_volume import seeded_volume

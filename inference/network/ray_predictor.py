@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How networks of kinds "stencil" and "ray" read a volume."""
+"""How networks of kind "ray" read a volume."""
 
 import functools
 import threading
@@ -8,22 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..features.descriptors import FieldLookup, describe
+from ..features.descriptors import FieldLookup
 from ..features.final_gather import LEVEL as GATHER_LEVEL
 from ..features.final_gather import FinalGather
 from ..features.mip_lattices import (
     Lattices,
-    SunLevels,
-    build_lattices,
+    density_lattices,
     inner_cells,
     padded_pyramid,
-    unit_optical_depths,
-    visibility_levels,
 )
-from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
 from ..grids.halving import halve
 from ..grids.working_cube import Cube, extent
+from ..models.abilities import Abilities
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -42,90 +39,17 @@ from ..transport.scattered_fluence import (
     moment_lattice,
 )
 from ..transport.varying_albedo import CoarseAlbedo
-from .conditions import Conditions, LitConditions, PlacedLight, RayPoints
+from .conditions import Conditions, LitConditions, PlacedLight
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import PointNetwork, Predictor, PreparedPrediction
+from .interfaces import PointNetwork, Predictor
 from .lamp_nearby import MIN_ALBEDO, LampNearby
+from .network import Kind
 from .placed_lights import PlacedSkies
 from .prepared_rays import PreparedRays
 
 # Fluence lattices, of lights and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 128
-
-
-class StencilPredictor(Predictor):
-    """Density, transmittance and phase function at the stencil, for a network that reads them; a `Predictor`.
-
-    network: whose `points` are the Stencil. cube: of the volume. Safe on several
-    threads. Raises Cancelled.
-    """
-
-    needs_ray_features = False
-    respects_surfaces = True
-
-    def __init__(
-        self,
-        network: PointNetwork[Stencil],
-        volume: Volume,
-        cube: Cube,
-        anisotropy: float,
-        cancel: CancelToken = NEVER,
-    ):
-        self.network, self.cube, self.anisotropy = network, cube, anisotropy
-        self._lock = threading.Lock()
-        # Of the last optical thickness.
-        self._lattices: tuple[float, Lattices] | None = None
-        self.volume, self.extent = volume, extent(volume, cube)
-        self.padded = padded_pyramid(volume, cube, network.points, cancel)
-        self._read_pyramid()
-
-    def _read_pyramid(self) -> None:
-        """Compute what depends on the volume alone."""
-        self.phase = PhaseFeatures(self.network.points, self.anisotropy)
-
-    @staticmethod
-    def read_points(values: np.ndarray) -> Stencil:
-        """The stencil from the floats of a weights file."""
-        return Stencil.read(values)
-
-    def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
-        """What predicts under these conditions. Raises Cancelled."""
-        stencil, light = self.network.points, conditions.light
-        visibility = visibility_levels(stencil, light.shadow_map) if light.shadow_map else None
-        sun = SunLevels(unit_optical_depths(self.padded, light.direction), visibility)
-        with tasks.cancel.locked(self._lock):
-            earlier = None
-            if self._lattices is not None and self._lattices[0] == conditions.sigma_hat:
-                earlier = self._lattices[1]
-            # Released before building new ones.
-            self._lattices = None
-            lattices = build_lattices(self.padded, conditions.sigma_hat, stencil, sun, self.extent, tasks.each, earlier)
-            self._lattices = conditions.sigma_hat, lattices
-        lookup = FieldLookup(stencil, lattices, light.direction)
-        return PreparedStencil(self.network, lookup, self.phase, self.anisotropy)
-
-
-@dataclass(frozen=True)
-class PreparedStencil:
-    """A StencilPredictor under certain conditions; a `PreparedPrediction`."""
-
-    network: PointNetwork[Stencil]
-    lookup: FieldLookup
-    phase: PhaseFeatures
-    anisotropy: float
-    scale = 1.0
-
-    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
-        """As PreparedPrediction; ray features are not used."""
-        features, gamma = describe(self.lookup, self.phase, points.positions, points.directions, points.jitter)
-        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size
 
 
 @dataclass(frozen=True)
@@ -148,21 +72,30 @@ class _Solved:
         )
 
 
-class RayPredictor(StencilPredictor):
+class RayPredictor(Predictor):
     """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
 
-    Arguments as for StencilPredictor.
+    An `EveryLightPredictor`. network: whose `points` are the sparse stencil. cube: of the volume. Safe on several
+    threads. Raises Cancelled.
     """
 
-    needs_ray_features = True
+    respects_surfaces = respects_albedo = True
 
-    @staticmethod
-    def read_points(values: np.ndarray) -> Stencil:
-        """The sparse stencil from the floats of a weights file."""
-        return Stencil.read(values, SPARSE)
-
-    def _read_pyramid(self) -> None:
-        """Take the levels that the coarse transport is solved on and that light is gathered through."""
+    def __init__(
+        self,
+        network: PointNetwork[Stencil],
+        volume: Volume,
+        cube: Cube,
+        anisotropy: float,
+        cancel: CancelToken = NEVER,
+    ):
+        self.network, self.cube, self.anisotropy = network, cube, anisotropy
+        self._lock = threading.Lock()
+        # Of the last optical thickness.
+        self._lattices: tuple[float, Lattices] | None = None
+        self.volume, self.extent = volume, extent(volume, cube)
+        self.padded = padded_pyramid(volume, cube, network.points, cancel)
+        # The levels that the coarse transport is solved on and that light is gathered through.
         self.coarse, self.fine = (
             np.ascontiguousarray(inner_cells(self.padded[m], m, self.network.points)) for m in (LEVEL, GATHER_LEVEL)
         )
@@ -240,13 +173,7 @@ class RayPredictor(StencilPredictor):
         """Lattices of the density, which serve every light."""
         if self._lattices is None or self._lattices[0] != conditions.sigma_hat:
             self._lattices = None
-            lattices = build_lattices(
-                self.padded,
-                conditions.sigma_hat,
-                self.network.points,
-                bounds=self.extent,
-                mapper=tasks.each,
-            )
+            lattices = density_lattices(self.padded, conditions.sigma_hat, self.network.points, self.extent, tasks.each)
             self._lattices = conditions.sigma_hat, lattices
         return self._lattices[1]
 
@@ -337,3 +264,7 @@ class RayPredictor(StencilPredictor):
 
     def _new_solver(self, conditions: LitConditions, albedo: float = 1.0) -> DiscreteOrdinates:
         return DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo)
+
+
+#: Networks that read the light along camera rays, and with it every kind of light.
+RAY = Kind(lambda values: Stencil.read(values, SPARSE), RayPredictor, Abilities(every_light=True))
