@@ -326,9 +326,8 @@ def test_the_estimate_of_memory_includes_the_lattices():
     dome, sun = Environment(sky()), Sun((0.3, 0.4, 0.8))
     with_dome, without = (make_plan([(BLOB, medium)], lights, camera(), settings) for lights in ([sun, dome], [sun]))
     predictor = VolumePredictor(load_network("mrpnn"), BLOB, 0.5)
-    bounds = np.full(3, -0.5), np.full(3, 0.5)
     network = load_environment_network("mrpnn")
-    prepared = predictor.prepare_environment(network, [dome], 15.0, bounds)
+    prepared = predictor.prepare_environment(network, [dome], 15.0)
     held = sum(values.nbytes for values in vars(prepared).values() if isinstance(values, np.ndarray))
     held += prepared.depths.lattice.nbytes
     # While they are padded, both copies are held.
