@@ -105,7 +105,7 @@ def _finished_parts(
     report = Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            if cache is None or "unchanged" not in settings.leave_out:
+            if cache is None or "unchanged" not in settings.optimizations:
                 cache = RenderCache()
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
@@ -197,7 +197,7 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         fluence,
         scene.occluders.shadow_maps,
         scene.plan.groups,
-        settings.leave_out,
+        settings.optimizations,
         scattering=scattering_channels(media, channels.indices),
         most_detail=detail,
     )
@@ -231,7 +231,7 @@ def prepare_scene(
         occluders, lit = NO_OCCLUDERS, list(range(len(placed.suns)))
         if grids:
             corners = np.concatenate([grid.corners() for grid in grids])
-            drop_dark = "needless_suns" in settings.leave_out
+            drop_dark = "needless_suns" in settings.optimizations
             occluders, lit = find_occluders(surfaces, placed.suns, corners, drop_dark, cancel)
     plan = decide(scene=asked, lights=placed, lit=lit, camera=camera, settings=settings)
     report.warnings += plan.linking_warnings()

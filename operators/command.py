@@ -156,7 +156,7 @@ def _parser() -> argparse.ArgumentParser:
                 help="in place of the scene's own, for this command",
             )
         action.add_argument(
-            "--leave-out",
+            "--optimizations",
             type=_optimizations,
             metavar="NAMES",
             help="optimizations in place of the scene's own: all, none, or of these, with commas between: "

@@ -27,7 +27,7 @@ def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile:
             estimate = TileEstimate(context, some, tile, source)
             if source.adaptive:
                 tile.report.count("network points wanted", len(inside))
-            if source.adaptive and "shared_pixels" in context.settings.leave_out:
+            if source.adaptive and "shared_pixels" in context.settings.optimizations:
                 evaluate_adaptively(estimate, inside, tile.camera.window, _single(source, tile))
             else:
                 estimate.evaluate(inside)

@@ -292,11 +292,11 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         unhidden = environments
         environments = [behind(environment, sky) for environment in unhidden for sky in skies]
     # Surfaces shadow each part of a soft sun differently.
-    if surfaces or not abilities(settings.model).every_light or "soft_suns" not in settings.leave_out:
+    if surfaces or not abilities(settings.model).every_light or "soft_suns" not in settings.optimizations:
         suns = [replace(sun, part_of=None) for sun in suns]
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
-    if "faint_lamps" in settings.leave_out:
+    if "faint_lamps" in settings.optimizations:
         boxes = {volume.name: _corners(volume) for volume, _ in scene.volumes}
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
@@ -307,7 +307,7 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
     predicts_lamps = settings.multiple and abilities(settings.model).every_light
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
-    if "distant_lamps" in settings.leave_out:
+    if "distant_lamps" in settings.optimizations:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
         clusters = [joined_lamps(lamps, others, {own.name: _corners(own) for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:
@@ -404,7 +404,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         groups=scene.groups,
         multiple=multiple,
         scattered_emission=scattered_emission,
-        optimizations=settings.leave_out,
+        optimizations=settings.optimizations,
         memory=memory,
         tiles=tiles,
     )
@@ -426,7 +426,7 @@ def make_plan(
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:
     """Suns that emit light, parallel ones merged; adds sentences about the others to `left_out`."""
-    if "needless_suns" not in settings.leave_out:
+    if "needless_suns" not in settings.optimizations:
         return list(suns)
     bright = shining(suns, left_out)
     merged = merge_parallel(bright)
@@ -441,7 +441,7 @@ def _channel_groups(volumes: list[tuple[Volume, Medium]], settings: Settings) ->
     for c in range(3):
         sigma_t = np.array([medium.sigma_t[c] for _, medium in volumes])
         for group in groups:
-            if "equal_channels" in settings.leave_out and np.array_equal(group.sigma_t, sigma_t):
+            if "equal_channels" in settings.optimizations and np.array_equal(group.sigma_t, sigma_t):
                 group.indices.append(c)
                 break
         else:
@@ -468,7 +468,7 @@ def _plan_group(
     elif len(members) > 1:
         planned.append(f"{names}: multiple scattering, as one medium")
     else:
-        stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
+        stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.optimizations))
         planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
     return predicted, scattered_emission
 
@@ -476,7 +476,7 @@ def _plan_group(
 def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
     """Whether a group of volumes scatters light."""
     return any(
-        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
+        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.optimizations))
         for volume, medium in members
     )
 

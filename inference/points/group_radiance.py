@@ -72,7 +72,7 @@ class GroupRadiance:
             fluence=[fluence] if lit else None,
             shadow_maps=self._scene.occluders.shadow_maps if lit else None,
             groups=[list(range(len(self._members)))],
-            optimizations=context.settings.leave_out - {"faint_rays"},
+            optimizations=context.settings.optimizations - {"faint_rays"},
             quadrature=entry_point,
         )
         indices, stopping = self._channels.indices, context.tasks.stopping

@@ -80,7 +80,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image"
     )
-    leave_out: EnumProperty(
+    optimizations: EnumProperty(
         name="Optimizations",
         items=_OPTIMIZATION_ITEMS,
         default=set(ALL),
@@ -124,7 +124,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
             depth_samples=self.depth_samples,
             model=model,
             seed=self.seed,
-            leave_out=self.leave_out,
+            optimizations=self.optimizations,
             threads=self.threads or preferred.threads,
             provider=preferred.provider,
             memory_limit=(self.memory_limit or preferred.memory_limit) << 30,

@@ -35,8 +35,8 @@ def draw():
     a, b, c, d = ([x, y, -2.0] for x, y in ((-30, -30), (30, -30), (30, 30), (-30, 30)))
     plate = Surface([(a, b, c), (a, c, d)], covers=False)
 
-    def draw(leave_out=ALL, cache=None):
-        settings = Settings(8, leave_out=leave_out)
+    def draw(optimizations=ALL, cache=None):
+        settings = Settings(8, optimizations=optimizations)
         return render(volumes, suns, camera(resolution=(108, 72)), settings, cache=cache, surfaces=[plate])
 
     return draw
@@ -63,8 +63,8 @@ def change(layer, other):
 )
 def test_each_optimization_stays_within_its_budget_and_has_an_effect(name, draw, usual, every_pixel):
     """Each is turned off alone."""
-    before, left_out = (usual, ALL) if name == "shared_pixels" else (every_pixel, ALL - {"shared_pixels"})
-    layer = every_pixel if name == "shared_pixels" else draw(left_out - {name})
+    before, optimizations = (usual, ALL) if name == "shared_pixels" else (every_pixel, ALL - {"shared_pixels"})
+    layer = every_pixel if name == "shared_pixels" else draw(optimizations - {name})
     assert change(layer, before) <= max(OPTIMIZATIONS[name].budget, 1e-7)
     np.testing.assert_allclose(layer.alpha, before.alpha, atol=1e-6)
     assert layer.report.counts[COUNTED[name]] > before.report.counts[COUNTED[name]]
@@ -98,4 +98,4 @@ def test_the_report_estimates_the_time_without_optimizations(usual, every_pixel)
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
     with pytest.raises(SceneError, match="no optimization called 'noise'; there are: behind_opaque, .*unseen_voxels"):
-        Settings(leave_out={"noise"})
+        Settings(optimizations={"noise"})

@@ -101,7 +101,7 @@ def test_same_seed_same_image_for_any_number_of_threads():
 
 def test_a_region_is_cut_out_of_the_whole():
     """With interpolated pixels: test_adaptive_interpolation.py."""
-    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(leave_out=ALL - {"shared_pixels"})
+    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(optimizations=ALL - {"shared_pixels"})
     whole = render(volumes, [SUN], camera(), settings)
     part = render(volumes, [SUN], camera(region=(5, 3, 17, 14)), settings)
     np.testing.assert_allclose(part.rgb, whole.rgb[3:14, 5:17], rtol=1e-4, atol=1e-7)
@@ -230,7 +230,7 @@ def test_fewer_samples_on_faint_rays_stay_below_the_reported_error():
             [(cloud(), Medium(3.0, 0.95, 0.5))],
             [SUN],
             camera(),
-            Settings(samples, leave_out=ALL - {"shared_pixels", *without}),
+            Settings(samples, optimizations=ALL - {"shared_pixels", *without}),
         )
 
     best, fewer, every = layer(64, "faint_rays"), layer(8), layer(8, "faint_rays")

@@ -146,7 +146,7 @@ def test_png_keeps_the_layers_alpha(command, blend):
         (["report", "--depth-samples", "1e9"], "'1e9' is not a whole number"),
         (["compare", "--seconds", "soon"], "'soon' is not a number"),
         (["report", "--depth-samples", "0"], "depth samples"),
-        (["report", "--leave-out", "empty_space,noise"], "no optimization 'noise'; there are: missed_pixels"),
+        (["report", "--optimizations", "empty_space,noise"], "no optimization 'noise'; there are: missed_pixels"),
         (["render", "--output", "x.exr", "--depth-samples", "0"], "depth samples"),
         (["render", "--output", "x.exr", "--depth-samples", "many"], "many"),
         (["render", "--output", "x.exr", "--threads", "-1"], "threads"),

@@ -41,11 +41,11 @@ def test_presets_set_the_samples_and_samples_show_the_preset(scene):
 
 
 def test_optimizations_are_chosen_one_by_one(addon, scene):
-    assert scene.mrpnn.leave_out == set(OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == ALL
-    scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
-    assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}
-    scene.mrpnn.leave_out = set()
-    assert scene.mrpnn.settings().leave_out == frozenset()
+    assert scene.mrpnn.optimizations == set(OPTIMIZATIONS) and scene.mrpnn.settings().optimizations == ALL
+    scene.mrpnn.optimizations = {"empty_space", "shared_pixels"}
+    assert scene.mrpnn.settings().optimizations == {"empty_space", "shared_pixels"}
+    scene.mrpnn.optimizations = set()
+    assert scene.mrpnn.settings().optimizations == frozenset()
 
 
 def test_preferences_apply_where_the_scene_sets_nothing(addon, scene):
