@@ -162,6 +162,8 @@ def _parser() -> argparse.ArgumentParser:
             help="optimizations in place of the scene's own: all, none, or of these, with commas between: "
             + ", ".join(OPTIMIZATIONS),
         )
+        # The name of earlier versions.
+        action.add_argument("--leave-out", dest="optimizations", type=_optimizations, help=argparse.SUPPRESS)
     return parser
 
 

@@ -12,8 +12,8 @@ from .models import model_items
 from .preferences import machine
 
 # Version of the properties in files. 0: networks are numbered by their position in the list. 1: there is a number of
-# directions of the World.
-VERSION = 2
+# directions of the World. 2: the optimizations that are on are called leave_out.
+VERSION = 3
 
 # Blender 4.5 and later require this option for paths that start with "//"; earlier versions reject it.
 RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -144,8 +144,12 @@ def migrate(scene: "bpy.types.Scene") -> None:
     # Version 0 numbered networks by position, and there was one.
     if settings.version < 1 and settings.is_property_set("model"):
         settings.model = Settings.model
-    if stored_properties(scene).pop("world_directions", None) == 0:
+    stored = stored_properties(scene)
+    if stored.pop("world_directions", None) == 0:
         _hide_world(scene)
+    bits = stored.pop("leave_out", None)
+    if bits is not None:
+        settings.optimizations = {name for name, number in numbers().items() if bits >> number & 1}
     settings.version = VERSION
 
 
