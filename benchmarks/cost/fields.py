@@ -21,7 +21,7 @@ from inference.grids.working_cube import fit_cube
 from inference.kernels.library import load_kernels
 from inference.network.network import load_network
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import SunBeam
+from inference.source_terms.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.radiance_sweep import sweep_radiance
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..environments.environment_light import ROWS, Skies
 from ..grids.working_cube import Cube
 from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
 from ..marching.ray_steps import RayBatch
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
-from ..transport.environment_light import ROWS, Skies
 from .camera_pass import march_tile, ray_intervals
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .scattered_light import TileEstimate

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..environments.environment_light import image_in_frame
 from ..features.stencil import frames
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
@@ -35,7 +36,6 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun, Surface, Volume
 from ..scene.environment import Environment, pixel_solid_angles
 from ..scene.sparse_grid import SparseGrid
-from ..transport.environment_light import image_in_frame
 from .context import PreparedScene
 
 # Shadows on surfaces farther away than this many times the size of the volumes are those of volumes alone.

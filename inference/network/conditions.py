@@ -10,9 +10,9 @@ import numpy as np
 from ..grids.working_cube import Cube
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
+from ..source_terms.lamp_beam import CubeCells
+from ..source_terms.nearby_light import NearbyMedium
 from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates
-from ..transport.lamp_beam import CubeCells
-from ..transport.nearby_light import NearbyMedium
 from ..transport.scattered_fluence import FluenceLattice
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class NearLight(Protocol):
         """Share of the coarse transport alone in its multiple scattering in a box, 0 to 1."""
 
     def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As `transport.nearby_light`. Raises Cancelled."""
+        """As `source_terms.nearby_light`. Raises Cancelled."""
 
     def soft_start(self, sigma_hat: float, density: FluenceLattice) -> "SoftStart | None":
         """Where the light of a soft falloff starts to be scattered, or None. density: of the coarse cells."""

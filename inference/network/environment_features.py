@@ -17,9 +17,9 @@ number of colours costs one evaluation.
 
 import numpy as np
 
+from ..environments.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
 from ..numerics.small_matmul import product
 from ..scene.phase_function import reduced_anisotropy
-from ..transport.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
 
 #: Scale of extinction at which the mean direction of what is open is taken.
 OPEN_SCALE = 0.3

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..environments.blurred_environment import read_image
+from ..environments.environment_light import ALBEDOS, Skies, read_lattice
+from ..environments.open_depths import OpenDepths
 from ..features.descriptors import FieldLookup, distinct_rows
 from ..grids.working_cube import Cube
-from ..transport.blurred_environment import read_image
-from ..transport.environment_light import ALBEDOS, Skies, read_lattice
-from ..transport.open_depths import OpenDepths
 from .conditions import RayPoints
 from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
 from .provider import SmallNetwork

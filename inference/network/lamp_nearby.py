@@ -3,7 +3,7 @@
 
 Networks have learnt the light of suns, which enters a volume from outside and is as bright everywhere. That of a lamp
 nearby is not: it falls with the square of the distance, comes from all around, and how much of it an albedo below 1
-leaves does not follow from the transport for albedo 1 that networks read. `transport.nearby_light` solves it for the
+leaves does not follow from the transport for albedo 1 that networks read. `source_terms.nearby_light` solves it for the
 true albedo, in two parts that scatter towards the camera in different ways.
 
 Light that has scattered within the phase function's forward peak alone has a fluence S and a flux F. Seen from the side
@@ -48,8 +48,8 @@ from ..kernels.library import call
 from ..numerics.quadrature import legendre_nodes
 from ..numerics.spherical_harmonics import DEGREES
 from ..scene.phase_function import reduced_anisotropy
-from ..transport.forward_peak import MIN_FORWARD
-from ..transport.lamp_beam import directions_to
+from ..source_terms.forward_peak import MIN_FORWARD
+from ..source_terms.lamp_beam import directions_to
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
 

@@ -8,6 +8,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
+from ..environments.surface_irradiance import SurfaceIrradiance
 from ..grids.working_cube import extent, fit_cube
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
@@ -20,7 +21,6 @@ from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CELLS
 from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
-from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions, PlacedLight, PredictedLight
 from .environment_network import EnvironmentNetwork, PreparedEnvironment

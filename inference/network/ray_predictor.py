@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..environments.blurred_environment import blurred
+from ..environments.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
+from ..environments.open_depths import OpenDepths, direction_depths
 from ..features.descriptors import FieldLookup
 from ..features.final_gather import LEVEL as GATHER_LEVEL
 from ..features.final_gather import FinalGather
@@ -24,13 +27,10 @@ from ..models.abilities import Abilities
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
-from ..transport.blurred_environment import blurred
+from ..source_terms.lamp_beam import CubeCells
+from ..source_terms.nearby_light import NearbyMedium
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
-from ..transport.lamp_beam import CubeCells
 from ..transport.mean_free_path import mean_free_path
-from ..transport.nearby_light import NearbyMedium
-from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import (
     FluenceLattice,
     ScatteredFluence,

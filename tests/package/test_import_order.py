@@ -34,6 +34,8 @@ ROOMS = {
         "plan",
         "grids",
         "transport",
+        "source_terms",
+        "environments",
         "marching",
         "features",
         "network",

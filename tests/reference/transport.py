@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from inference.environments.environment_light import DIRECTIONS
+from inference.environments.open_depths import LENGTHS, LEVELS, MIDDLES, REACH, OpenDepths
 from inference.kernels import library
 from inference.kernels.structures import Shared
-from inference.transport.environment_light import DIRECTIONS
-from inference.transport.open_depths import LENGTHS, LEVELS, MIDDLES, REACH, OpenDepths
 
 Fields = dict[str, Any]
 

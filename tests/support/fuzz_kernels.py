@@ -35,15 +35,15 @@ from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.onnx.products import Layer
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import SunBeam
+from inference.source_terms.cell_sources import SunBeam
+from inference.source_terms.forward_peak import forward_peak
+from inference.source_terms.lamp_beam import LampInCube
+from inference.source_terms.peak_photons import LampInCells, peak_light
+from inference.source_terms.wide_light import Lobe, wide_light
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.forward_peak import forward_peak
-from inference.transport.lamp_beam import LampInCube
-from inference.transport.peak_photons import LampInCells, peak_light
 from inference.transport.radiance_sweep import sweep_radiance
 from inference.transport.scattered_fluence import FluenceLattice
-from inference.transport.wide_light import Lobe, wide_light
 from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32

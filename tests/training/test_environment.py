@@ -17,7 +17,7 @@ from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
 from training import export_environment, train_environment
 from training.data import environment_targets
-from training.data.seeded_volume import cube_volume, seeded_volume
+from training.procedural.seeded_volume import cube_volume, seeded_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import _encode, decode_directions, optical_depths, trace_camera_exits, trace_exits
 from training.tracer.path_tracer import Sampling

@@ -24,11 +24,11 @@ from inference.network.network import load_network
 from inference.network.placed_lights import PlacedSun
 from inference.network.predictor import VolumePredictor
 from training import evaluate, export, memory, train
-from training.data.seeded_volume import seeded_volume
 from training.data.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
-from training.data.volumes import make_volume
 from training.networks import RayMRPNN
 from training.onnx_graph import linear_layers
+from training.procedural.seeded_volume import seeded_volume
+from training.procedural.volumes import make_volume
 
 WEIGHTS = pathlib.Path(inference.__file__).parent / "weights"
 

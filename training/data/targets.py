@@ -40,14 +40,14 @@ from inference.grids.working_cube import fit_cube, level0_density
 from inference.marching.marcher import ray_features_at
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.paper.sun_lattices import unit_optical_depths
-from inference.transport.cell_sources import SunBeam
+from inference.source_terms.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
 from inference.transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from training.data.descriptors import Levels, describe_points
-from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
 from training.files import write_rows
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.path_tracer import Sampling, Scene, Vertices, sample_scattering_points, trace_points
 
 #: Extinction per cube edge where density is 1.

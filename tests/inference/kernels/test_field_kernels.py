@@ -9,6 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from inference import Medium, PointLight, Surface, Volume
+from inference.environments.open_depths import OpenDepths, direction_depths
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import (
     density_lattices,
@@ -34,12 +35,11 @@ from inference.paper.sun_lattices import SunLevels, sun_lattices, unit_optical_d
 from inference.runtime.cancellation import Cancelled, CancelToken
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import LampBeam, SunBeam
+from inference.source_terms.cell_sources import LampBeam, SunBeam
+from inference.source_terms.lamp_beam import LampInCube
+from inference.source_terms.lamp_cells import LampCells, light_in_cells
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
-from inference.transport.lamp_beam import LampInCube
-from inference.transport.lamp_cells import LampCells, light_in_cells
-from inference.transport.open_depths import OpenDepths, direction_depths
 from inference.transport.radiance_sweep import sweep_radiance
 from tests.reference.cells import halved, mean_cells, resampled_values
 from tests.reference.final_gather import gathered

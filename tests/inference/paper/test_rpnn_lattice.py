@@ -27,11 +27,11 @@ from inference.paper.rpnn_lattice import (
 from inference.paper.sun_lattices import unit_optical_depths
 from training.data import lattice_rows
 from training.data.descriptors import Levels, describe_points
-from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
 from training.data.targets import unit_vectors
 from training.export import export, save
 from training.networks import RPNN
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.path_tracer import sample_scattering_points
 
 SUN = np.array([0.36, -0.48, 0.8])

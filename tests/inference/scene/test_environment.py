@@ -18,6 +18,17 @@ from inference import (
     available_models,
     render,
 )
+from inference.environments.blurred_environment import blurred
+from inference.environments.environment_light import (
+    ALBEDOS,
+    DIRECTION_WEIGHTS,
+    DIRECTIONS,
+    ROWS,
+    direction_radiance,
+    image_in_frame,
+    ordinate_radiance,
+)
+from inference.environments.open_depths import OpenDepths, direction_depths
 from inference.models.abilities import abilities
 from inference.models.weights_file import WEIGHTS
 from inference.network import environment_features as features
@@ -28,19 +39,8 @@ from inference.network.predictor import VolumePredictor
 from inference.plan.plan import make_plan
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 from inference.scene.phase_function import henyey_greenstein
-from inference.transport.blurred_environment import blurred
-from inference.transport.cell_sources import EnteringLight
+from inference.source_terms.cell_sources import EnteringLight
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
-from inference.transport.environment_light import (
-    ALBEDOS,
-    DIRECTION_WEIGHTS,
-    DIRECTIONS,
-    ROWS,
-    direction_radiance,
-    image_in_frame,
-    ordinate_radiance,
-)
-from inference.transport.open_depths import OpenDepths, direction_depths
 from inference.transport.ordinates import ORDINATE_WEIGHTS
 
 

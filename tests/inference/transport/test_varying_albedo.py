@@ -7,7 +7,7 @@ import pytest
 from inference import Environment, Medium, PointLight, SceneError, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import EnteringLight, SunBeam
+from inference.source_terms.cell_sources import EnteringLight, SunBeam
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from tests.support.volumes import SUN, camera, cloud
 

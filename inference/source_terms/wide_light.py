@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.held_cells import with_neighbours
 from ..kernels.library import call
 from ..numerics.exponential import one_minus_exp
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..runtime.cancellation import NEVER, CancelToken
+from ..transport.radiance_sweep import directions
 from .forward_peak import ForwardPeak
-from .radiance_sweep import directions
+from .held_cells import with_neighbours
 
 #: Directions along an edge of each face of a cube.
 FACE = 4

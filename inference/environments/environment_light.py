@@ -16,9 +16,9 @@ from ..grids.halving import halve
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
-from .cell_sources import EnteringLight
-from .discrete_ordinates import DiscreteOrdinates
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES
+from ..source_terms.cell_sources import EnteringLight
+from ..transport.discrete_ordinates import DiscreteOrdinates
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 #: Rows of the images that are read here; larger ones are reduced before.
 ROWS = 64

@@ -9,8 +9,8 @@ import numpy as np
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
-from .discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
+from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
 
 # Cells whose beams are found at once: few enough for matrix products that stay on this thread.
 BEAMS_PER_BLOCK = 1024

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.held_cells import box_of
 from ..runtime.cancellation import NEVER, CancelToken
-from .discrete_ordinates import DiscreteOrdinates
+from ..transport.discrete_ordinates import DiscreteOrdinates
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .forward_peak import forward_peak
+from .held_cells import box_of
 from .lamp_beam import CubeCells, LampInCube
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .peak_photons import LampInCells, peak_light
 from .wide_light import MOMENTS, Lobe, scattered_wide, wide_light
 
