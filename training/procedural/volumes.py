@@ -181,7 +181,9 @@ def contact_sheet(sample: Sample, size: int = 192) -> np.ndarray:
 def main(argv=None):
     from PIL import Image
 
-    parser = argparse.ArgumentParser(prog="python -m training.procedural.volumes", description="Contact sheet of volumes.")
+    parser = argparse.ArgumentParser(
+        prog="python -m training.procedural.volumes", description="Contact sheet of volumes."
+    )
     parser.add_argument("--seeds", default="0-23", help="a range, both ends included: 0-23")
     parser.add_argument("--resolution", type=int, default=192)
     parser.add_argument("--out", type=Path, required=True, help="folder for contact_sheet.png")
