@@ -2,6 +2,7 @@
 """What models can predict, which plans depend on before any of them is loaded."""
 
 import functools
+import pathlib
 from dataclasses import dataclass
 
 from ..onnx.model_file import read_model
@@ -44,14 +45,16 @@ def abilities(model: str) -> Abilities:
     if model in _systems:
         return _systems[model]
     try:
-        known = _kinds.get(_kind(weights_file.read_weights(model)), SUNS_ALONE)
-    except (SceneError, ValueError, KeyError):
+        state = (weights_file.WEIGHTS / f"{model}.onnx").stat()
+        known = _kinds.get(_kind(weights_file.WEIGHTS, model, state.st_mtime_ns, state.st_size), SUNS_ALONE)
+    except (OSError, SceneError, ValueError, KeyError):
         return SUNS_ALONE
     # Light from everywhere takes a second network.
     beside = (weights_file.WEIGHTS / ENVIRONMENTS / f"{model}.onnx").exists()
     return known if beside or not known.every_light else Abilities(light_bytes=known.light_bytes)
 
 
-@functools.lru_cache(maxsize=8)
-def _kind(content: bytes) -> str:
-    return read_model(content).metadata["kind"]
+@functools.lru_cache
+def _kind(folder: pathlib.Path, model: str, changed: int, size: int) -> str:
+    """The kind that a weights file states; read again when it has changed."""
+    return read_model(weights_file.read_weights(model)).metadata["kind"]
