@@ -84,7 +84,7 @@ class PreparedTracer:
     volume: VolumeTracer
     sigma: float
     sun: np.ndarray
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos) -> np.ndarray:
         """Noisy radiance float32 (A, N), the same for the same points and jitter; ray features are not needed."""

@@ -190,7 +190,6 @@ class AskedGroup:
         context, scene, predictor = self.context, self.scene, self.group.predictor
         with context.progress.stage("lattices", 1):
             prepared = predictor.prepare(self.sigma_t, light, scene.occluders, context.tasks)
-            context.report.count("cells of lookup fields", prepared.lattice_cells)
         estimator = LightEstimator(
             strength=strength,
             albedos=albedos,

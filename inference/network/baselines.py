@@ -72,7 +72,7 @@ class BaselinePredictor(Predictor):
 class SingleScattering:
     """No multiple scattering; a `PreparedPrediction`."""
 
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N) of zeros."""
@@ -88,7 +88,7 @@ class MultiOctave:
 
     anisotropy: float
     sun: np.ndarray
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""

@@ -142,10 +142,6 @@ class PreparedPrediction(Protocol):
     """Predictions under certain conditions. Immutable and safe on several threads."""
 
     @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices, for the report."""
-
-    @property
     def scale(self) -> float:
         """Fluence of the brightest light that has scattered, over that of a sun of irradiance 1."""
 

@@ -26,10 +26,6 @@ class RadiancePredictor(Protocol):
     def alone(self) -> bool:
         """Whether the coarse transport alone is the light, which varies along rays as that of a lamp close by."""
 
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices; 0 where there are none."""
-
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """Radiance float32 (A, N) at points of the world, for A albedos."""
 
@@ -56,11 +52,6 @@ class PreparedPredictor:
     most: np.float32
     outside: float
     alone = False
-
-    @property
-    def lattice_cells(self) -> int:
-        """As of RadiancePredictor."""
-        return self.prediction.lattice_cells
 
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """As of RadiancePredictor."""
@@ -107,11 +98,6 @@ class NearbyPredictor:
     def alone(self) -> bool:
         """As of RadiancePredictor."""
         return self.network is None
-
-    @property
-    def lattice_cells(self) -> int:
-        """As of RadiancePredictor."""
-        return self.network.lattice_cells if self.network else 0
 
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """As of RadiancePredictor; the ray features are those of `march_lamps`."""

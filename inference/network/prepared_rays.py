@@ -79,8 +79,3 @@ class PreparedRays:
             "anisotropy": np.full(gamma.shape, self.anisotropy, np.float32),
             "gamma": gamma,
         }
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size

@@ -64,7 +64,7 @@ class PreparedLattice:
     network: PointNetwork[SunLattice]
     features: list[np.ndarray]
     sun: np.ndarray
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """As PreparedPrediction; ray features are not used."""

@@ -79,8 +79,3 @@ class PreparedStencil:
         )
         anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
         return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size + self.transmittance.values.size
