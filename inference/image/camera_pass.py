@@ -86,17 +86,17 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
     means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
     for start in range(0, len(rays.pixel), size):
         context.cancel.check()
-        some = slice(start, start + size)
-        batch = rays.batch.take(some)
+        span = slice(start, start + size)
+        batch = rays.batch.take(span)
         segment = channel_pass.march(batch)
-        single = shade.single(segment, batch, rays.pixel[some], rays.free[some])
+        single = shade.single(segment, batch, rays.pixel[span], rays.free[span])
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
-        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[some], rays.share[some], segment, single))
+        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[span], rays.share[span], segment, single))
         if segment.lamps is not None:
             for mean in means:
                 mean.replace(segment.lamps.single, start)
-            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], segment.lamps.single)
+            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[span], rays.share[span], segment.lamps.single)
             if segment.lamps.features is not None:
                 of_lamps.append(segment.lamps.features.values)
         ray = (start + segment.sample_ray).astype(np.int32)
@@ -191,9 +191,9 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     if emission is not None:
         for number, c in enumerate(indices):
             add_at(framebuffer.emission[:, c], pixel, emission[:, number] * weight)
-    part = len(indices) / 3.0
-    add_at(framebuffer.alpha, pixel, segment.alpha * weight * part)
-    add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * part)
+    fraction = len(indices) / 3.0
+    add_at(framebuffer.alpha, pixel, segment.alpha * weight * fraction)
+    add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * fraction)
 
 
 def _add_lamps(
@@ -212,8 +212,8 @@ def _add_lamps(
     for c in channel_pass.channels.indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
         light = linked * albedo[:, None] * [lamp.power[c] for lamp in scene.plan.lamps]
-        found = single[..., channel_pass.scattering_place(c)]
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", found, light, share))
+        of_lamps = single[..., channel_pass.scattering_place(c)]
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", of_lamps, light, share))
 
 
 def _means_around_lamps(

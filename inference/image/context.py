@@ -158,6 +158,6 @@ class Tile:
     def of(cls, camera: Camera, window: Window, shown: np.ndarray) -> "Tile":
         """A black tile; shown: bool (rows, columns), pixels of the camera's window that may show a volume."""
         (left, top, *_), (x0, y0, x1, y1) = camera.window, window
-        part = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
+        pixels = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
         framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
-        return cls(replace(camera, region=window), framebuffer, Report.of_thread(), part)
+        return cls(replace(camera, region=window), framebuffer, Report.of_thread(), pixels)

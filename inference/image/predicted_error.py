@@ -78,12 +78,12 @@ class SparseDeviation:
 
 def _bands(first: int, end: int, stride: int) -> list[tuple[slice, np.ndarray]]:
     """Each band of rows or columns [first, end): where it lies, and weights (n, n) of its places for each of them."""
-    found = []
+    bands = []
     for start in range(first // BAND * BAND, end, BAND):
         places = np.arange(max(start, first), min(start + BAND, end))
         weights = np.exp(-0.5 * ((places[:, None] - places) / stride) ** 2)
-        found.append((slice(places[0] - first, places[-1] + 1 - first), weights))
-    return found
+        bands.append((slice(places[0] - first, places[-1] + 1 - first), weights))
+    return bands
 
 
 def environment_deviation(albedo: float) -> float:

@@ -151,17 +151,17 @@ class AskedGroup:
 
     def suns(self) -> Iterator[Source]:
         """Of all suns, the parts of a soft one together."""
-        for one in self.scene.plan.predicted_suns():
-            if self.scene.plan.lights_group(one.sun, self.number):
-                light = PlacedSun(one.sun, self.group.predictor.cube, self.scene.occluders)
+        for predicted in self.scene.plan.predicted_suns():
+            if self.scene.plan.lights_group(predicted.sun, self.number):
+                light = PlacedSun(predicted.sun, self.group.predictor.cube, self.scene.occluders)
                 anisotropy, cancel = self.group.medium.anisotropy, self.context.cancel
                 asked = self.group.medium, self.sigma_t, self.channels.indices, light, self.scene.occluders
                 yield self._predicted(
                     light,
                     self.group.predictor.albedos(*asked, self.context.tasks, self.scene.plan.optimizations),
-                    strength=one.sun.irradiance,
-                    features=functools.partial(features_of_sun, one),
-                    turn=EquivalentDirections(self.camera, one.sun, anisotropy, cancel),
+                    strength=predicted.sun.irradiance,
+                    features=functools.partial(features_of_sun, predicted),
+                    turn=EquivalentDirections(self.camera, predicted.sun, anisotropy, cancel),
                 )
 
     def lamps(self) -> Iterator[Source]:
@@ -246,10 +246,10 @@ class AskedGroup:
         )
 
 
-def features_of_sun(one: PredictedSun, points: LitPoints) -> np.ndarray | None:
+def features_of_sun(sun: PredictedSun, points: LitPoints) -> np.ndarray | None:
     """What rays have gathered of a sun at points, float32 (N, COLUMNS); None where they have not."""
     gathered = points.suns
-    return None if gathered is None else gathered.mean(points.places, points.group, one.parts, one.shares)
+    return None if gathered is None else gathered.mean(points.places, points.group, sun.parts, sun.shares)
 
 
 def features_of_lamp(lamp: PredictedLamp, cluster: Sequence[int], points: LitPoints) -> np.ndarray | None:
@@ -302,18 +302,18 @@ def solve_transport(
     if scene.network is None or not (context.settings.multiple and scene.plan.suns):
         return None
     joined = scene.plan.predicted_suns()
-    of_part = {part: number for number, one in enumerate(joined) for part in one.parts}
-    found: list[ScatteredFluence | None] = [None] * len(scene.groups)
+    of_part = {part: number for number, predicted in enumerate(joined) for part in predicted.parts}
+    fluences: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
         for g, group in scene.predicted(channels):
             if groups is not None and g not in groups:
                 continue
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             with context.progress.stage("transport", len(joined)):
-                lights = [PlacedSun(one.sun, group.predictor.cube, scene.occluders) for one in joined]
+                lights = [PlacedSun(predicted.sun, group.predictor.cube, scene.occluders) for predicted in joined]
                 fluence = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-            found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(scene.plan.suns))])
-    return None if all(fluence is None for fluence in found) else found
+            fluences[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(scene.plan.suns))])
+    return None if all(fluence is None for fluence in fluences) else fluences
 
 
 def prepare_sources(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> list[Source]:

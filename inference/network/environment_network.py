@@ -86,8 +86,8 @@ class PreparedEnvironment:
         ahead = _reaching(read_image(self.blurred, omega[first])[view], shares)
         open_to = _reaching(opened.radiance(self.radiance), shares)
         radiances = candidates(ahead, open_to, light, seldom, omega, self.anisotropy)
-        found = self.network.run(x, radiances, albedos)
-        return np.maximum(found, np.float32(0.0)).transpose(1, 0, 2)
+        predicted = self.network.run(x, radiances, albedos)
+        return np.maximum(predicted, np.float32(0.0)).transpose(1, 0, 2)
 
 
 def _reaching(radiance: np.ndarray, shares: np.ndarray) -> np.ndarray:

@@ -147,8 +147,8 @@ class LightEstimator:
         assert self.uncertainty is not None
         # Several channels may have one albedo.
         different = dict(zip(self.albedos.values, predicted))
-        found = self.predictor.deviation(self.uncertainty, self._asked(points), different)
-        relative: np.ndarray = found[[list(different).index(albedo) for albedo in self.albedos.values]]
+        deviations = self.predictor.deviation(self.uncertainty, self._asked(points), different)
+        relative: np.ndarray = deviations[[list(different).index(albedo) for albedo in self.albedos.values]]
         return relative * predicted
 
     def light_ahead(self, points: LitPoints) -> np.ndarray | None:
@@ -195,11 +195,11 @@ class EnvironmentEstimator(Estimator):
 
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""
-        found = {}
+        told = {}
         for c, row in self.albedos.by_channel(predicted[1:], points.positions, points.directions):
             colour = c if self.coloured else 0
-            found[True, c], found[False, c] = predicted[0, :, colour], row[:, colour]
-        return found
+            told[True, c], told[False, c] = predicted[0, :, colour], row[:, colour]
+        return told
 
 
 @dataclass(frozen=True)

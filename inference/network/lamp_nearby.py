@@ -103,11 +103,11 @@ class Way:
         if anisotropy < 0.0:
             return [anisotropy**order for order in range(count)]
         step = np.exp(self.parts * np.log(max(anisotropy, 1e-30)))
-        found, moments = [], self.matter
+        depths, moments = [], self.matter
         for _ in range(count):
-            found.append(moments.sum(axis=0))
+            depths.append(moments.sum(axis=0))
             moments = moments * step
-        return found
+        return depths
 
 
 @dataclass(frozen=True)
@@ -140,12 +140,12 @@ class SoftStart:
         """Optical depth (N,) of the ways from a lamp (3,) to points (N, 3); in proportion to the density on them."""
         ways = points - lamp
         distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-30)
-        share = np.minimum(FIRST_PART * self.radius / distance, 1.0)
-        places = lamp + ((0.5 + 0.5 * legendre_nodes(2)[0])[:, None, None] * share[:, None]) * ways
+        weight = np.minimum(FIRST_PART * self.radius / distance, 1.0)
+        places = lamp + ((0.5 + 0.5 * legendre_nodes(2)[0])[:, None, None] * weight[:, None]) * ways
         mean = density.values(places.reshape(-1, 3)).reshape(places.shape[:2]).mean(axis=0)
-        place = distance / (distance + self.radius) * (NODES - 1)
+        node = distance / (distance + self.radius) * (NODES - 1)
         more = np.clip(mean / max(self.around, 1e-30), 0.0, EXCESS_MOST)
-        return more * np.interp(place, np.arange(NODES), self.depths)
+        return more * np.interp(node, np.arange(NODES), self.depths)
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,8 @@ class LampNearby:
         (light, scale), g = self.lights[albedo], self.anisotropy
         if g**2 < MIN_FORWARD:
             moments = light.values(positions) * np.float32(scale)
-            found = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
-            return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
+            scattered = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
+            return np.maximum(scattered, LEAST / (4.0 * np.pi) * moments[:, 0])
         out = np.empty(len(positions), np.float32)
         call(
             "scatter_nearby",

@@ -55,8 +55,8 @@ class PlacedSun:
     @cached_property
     def shadow_map(self) -> ShadowMap | None:
         """As of PredictedLight."""
-        found = self.occluders.shadow_map(self.sun)
-        return found and found.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
+        world_map = self.occluders.shadow_map(self.sun)
+        return world_map and world_map.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
 
     def source(self, cells: int) -> SunBeam:
         """As of PlacedLight."""

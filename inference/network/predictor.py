@@ -78,29 +78,29 @@ class VolumePredictor:
 
         name: of the volume, for the messages.
         """
-        found, network = [], self.network
+        texts, network = [], self.network
         if occluders and not self._predictor.respects_surfaces:
-            found.append(f"{name}: the network {network.name} does not account for surfaces")
+            texts.append(f"{name}: the network {network.name} does not account for surfaces")
         if self.anisotropy != medium.anisotropy:
-            found.append(
+            texts.append(
                 f"{name}: anisotropy {medium.anisotropy:g} is outside the network's range; "
                 f"multiple scattering uses {self.anisotropy:g}"
             )
         for albedo, _ in distinct_albedos(medium, [0, 1, 2]):
             used = float(np.clip(albedo, *network.albedo_range))
             if used != albedo:
-                found.append(
+                texts.append(
                     f"{name}: albedo {albedo:g} is outside the network's range; multiple scattering uses {used:g}"
                 )
         if self.volume.scattering is not None and not self._predictor.respects_albedo:
-            found.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
+            texts.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
         peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
         if peak > most:
-            found.append(
+            texts.append(
                 f"{name}: optical thickness {peak:.3g} exceeds the network's range of {most:g}; "
                 "multiple scattering is less accurate"
             )
-        return found
+        return texts
 
     def peak_sigma_hat(self, sigma_t: float) -> float:
         """Optical thickness of the working cube at the largest density."""
@@ -159,16 +159,16 @@ class VolumePredictor:
                     most=np.float32(MAX_FLUENCE * peak),
                     outside=self.outside(sigma_t),
                 )
-            found: RadiancePredictor | None = network
+            prepared: RadiancePredictor | None = network
             if light.near and share > 0.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
                 nearby = self._every_light.nearby(conditions, light.albedos, share, tasks)
-                found = NearbyPredictor(
+                prepared = NearbyPredictor(
                     nearby=nearby, light=light.near, cube=self.cube, network=network, outside=self.outside(sigma_t)
                 )
-            assert found is not None
-            self._last[type(light)] = key, found
-            return found
+            assert prepared is not None
+            self._last[type(light)] = key, prepared
+            return prepared
 
     def fluence(
         self,

@@ -105,16 +105,16 @@ class NearbyPredictor:
         asked, nearby = points.in_cube(self.cube), self.nearby
         light = self.light.at_points(nearby, points.positions, points.ray_features[:, 0])
         each = [nearby.radiance(albedo, asked.positions, asked.directions, light) for albedo in albedos]
-        found = np.stack(each).astype(np.float32)
+        told = np.stack(each).astype(np.float32)
         if self.network is not None:
-            found *= nearby.share
-            found += (1.0 - nearby.share) * self.network.predict(points, albedos)
-        return found
+            told *= nearby.share
+            told += (1.0 - nearby.share) * self.network.predict(points, albedos)
+        return told
 
     def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """As of RadiancePredictor."""
         share = self.nearby.share
-        found = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
+        deviations = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
         if self.network is not None:
-            found += np.float32(1.0 - share) * self.network.within(network, points, radiance)
-        return np.hypot(found, np.float32(self.outside))
+            deviations += np.float32(1.0 - share) * self.network.within(network, points, radiance)
+        return np.hypot(deviations, np.float32(self.outside))

@@ -203,7 +203,7 @@ class RayPredictor(Predictor):
         assert conditions.light.near is not None
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve(replace(conditions, albedo=albedo), tasks.cancel) for albedo in albedos}
-        lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
+        lights = {albedo: (FluenceLattice(transport.cells), transport.scale) for albedo, transport in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         start = conditions.light.near.soft_start(conditions.sigma_hat, density)
         return LampNearby(share, lights, self.anisotropy, density, self.extent, start)
@@ -230,8 +230,8 @@ class RayPredictor(Predictor):
     def _solve(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
         """The transport of a light, solved once."""
         key, light = conditions.key, conditions.light
-        found = self._solved.get(key)
-        if found is None:
+        solved = self._solved.get(key)
+        if solved is None:
             if len(self._solved) >= MAX_LATTICES:
                 self._solved.clear()
             if conditions.albedo is None:
@@ -246,8 +246,8 @@ class RayPredictor(Predictor):
             scale = light.scale(cells[0])
             cells /= np.float32(scale)
             lattice = fluence_lattice if conditions.albedo is None else moment_lattice
-            found = self._solved[key] = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
-        return found
+            solved = self._solved[key] = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
+        return solved
 
     def _solver(self, conditions: LitConditions) -> DiscreteOrdinates:
         """Solver of the transport; all lights of a render share their optical thickness and occluders."""

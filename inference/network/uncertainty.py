@@ -80,11 +80,11 @@ def deviations(network: UncertaintyNetwork, read: Mapping[str, np.ndarray], radi
     """
     view = read["view"]
     angles = read["anisotropy"][view], read["gamma"][view]
-    found = [
+    relative = [
         network.run(inputs(read["stencil"], read["ray"], *angles, np.full(len(view), albedo, np.float32), predicted))
         for albedo, predicted in radiance.items()
     ]
-    return np.stack(found)
+    return np.stack(relative)
 
 
 def has_uncertainty(model: str) -> bool:

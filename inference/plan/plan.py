@@ -300,9 +300,9 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         boxes = {volume.name: _corners(volume) for volume, _ in scene.volumes}
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
-        f"{len(one.parts) - 1} of {len(one.parts)} predictions of {one.sun.name}: one for all of its parts"
-        for one in predicted_suns(suns)
-        if len(one.parts) > 1
+        f"{len(joined.parts) - 1} of {len(joined.parts)} predictions of {joined.sun.name}: one for all of its parts"
+        for joined in predicted_suns(suns)
+        if len(joined.parts) > 1
     ]
     predicts_lamps = settings.multiple and abilities(settings.model).every_light
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
@@ -314,9 +314,9 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     if predicts_lamps:
         left_out += [
-            f"{len(lamps) - len(found)} of {len(lamps)} predictions of lamps: one for all from about the same direction"
-            for found in clusters
-            if len(found) < len(lamps)
+            f"{len(lamps) - len(own)} of {len(lamps)} predictions of lamps: one for all from about the same direction"
+            for own in clusters
+            if len(own) < len(lamps)
         ]
     return SceneLights(
         suns=suns,

@@ -104,14 +104,14 @@ class GroupRadiance:
         estimator = source.estimator
 
         def task(span: slice) -> tuple[slice, dict, int]:
-            some = points.span(span)
-            return span, estimator.radiance(estimator.predict(some), some), len(some.positions)
+            batch = points.span(span)
+            return span, estimator.radiance(estimator.predict(batch), batch), len(batch.positions)
 
         return self._context.tasks.map(task, spans(len(points.positions)))
 
     def _gathered(self, positions: np.ndarray, directions: np.ndarray, depths: bool) -> LitPoints:
         """Points with what estimators read of their rays."""
-        found, count = LitPoints(positions, directions), len(positions)
+        points, count = LitPoints(positions, directions), len(positions)
         if self._march is not None and count:
             # Where a ray meets no density, nothing lies ahead.
             suns, lamps = (
@@ -127,7 +127,7 @@ class GroupRadiance:
                     lamps[ray] = segment.lamps.features.values
 
             self._follow(self._march, positions, directions, keep)
-            found = replace(found, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
+            points = replace(points, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
         if depths:
             along = np.zeros((count, 2), np.float32)
             for column, towards in enumerate((directions, -directions)):
@@ -137,8 +137,8 @@ class GroupRadiance:
                     along[first : first + len(depth), column] = depth
 
                 self._follow(self._through, positions, towards, measure)
-            found = replace(found, depths=along)
-        return found
+            points = replace(points, depths=along)
+        return points
 
     def _follow(
         self,

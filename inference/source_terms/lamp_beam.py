@@ -168,7 +168,7 @@ class LampInCube:
         return LampSource(position, centre, source.radius / self.cube.edge, source.soft_falloff)
 
 
-def directions_to(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Unit vectors (N, 3) from positions (N, 3) to a place (3,)."""
-    away = place - positions
+def directions_to(lamp: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) from positions (N, 3) to a lamp (3,)."""
+    away = lamp - positions
     return away / np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
