@@ -11,18 +11,13 @@ import numpy as np
 from ..environments.blurred_environment import blurred
 from ..environments.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
 from ..environments.open_depths import OpenDepths, direction_depths
+from ..features.density_reader import DensityReader
 from ..features.descriptors import FieldLookup
 from ..features.final_gather import LEVEL as GATHER_LEVEL
 from ..features.final_gather import FinalGather
-from ..features.mip_lattices import (
-    Lattices,
-    density_lattices,
-    inner_cells,
-    padded_pyramid,
-)
 from ..features.stencil import SPARSE, Stencil
 from ..grids.halving import halve
-from ..grids.working_cube import Cube, extent
+from ..grids.working_cube import Cube
 from ..models.abilities import Abilities
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
@@ -91,14 +86,9 @@ class RayPredictor(Predictor):
     ):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
         self._lock = threading.Lock()
-        # Of the last optical thickness.
-        self._lattices: tuple[float, Lattices] | None = None
-        self.volume, self.extent = volume, extent(volume, cube)
-        self.padded = padded_pyramid(volume, cube, network.points, cancel)
+        self.volume, self.density = volume, DensityReader(volume, cube, network.points, cancel)
         # The levels that the coarse transport is solved on and that light is gathered through.
-        self.coarse, self.fine = (
-            np.ascontiguousarray(inner_cells(self.padded[m], m, self.network.points)) for m in (LEVEL, GATHER_LEVEL)
-        )
+        self.coarse, self.fine = (np.ascontiguousarray(self.density.level(m)) for m in (LEVEL, GATHER_LEVEL))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._solved: dict[Hashable, _Solved] = {}
         self._depths: OpenDepths | None = None
@@ -110,7 +100,7 @@ class RayPredictor(Predictor):
         """What predicts under these conditions. Raises Cancelled."""
         light, sigma_hat = conditions.light, conditions.sigma_hat
         with tasks.cancel.locked(self._lock):
-            lattices = self._density_lattices(conditions, tasks)
+            lattices = self.density.lattices(conditions.sigma_hat, tasks)
             solved = self._solve(conditions, tasks.cancel)
         depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), tasks.cancel)
         return PreparedRays(
@@ -140,9 +130,9 @@ class RayPredictor(Predictor):
         ordinates = ordinate_radiance(skies.image)
         key = conditions.sigma_hat, ordinates.tobytes(), skies.weights
         with tasks.cancel.locked(self._lock):
-            lattices = self._density_lattices(conditions, tasks)
+            lattices = self.density.lattices(conditions.sigma_hat, tasks)
             if self._depths is None:
-                levels = [inner_cells(self.padded[m], m, self.network.points) for m in (0, 1)]
+                levels = [self.density.level(m) for m in (0, 1)]
                 lattice = direction_depths(self.coarse, tasks.cancel)
                 self._depths = OpenDepths(levels, lattice)
             if self._environment is None or self._environment[0] != key:
@@ -168,14 +158,6 @@ class RayPredictor(Predictor):
             thickness=thickness,
             anisotropy=self.anisotropy,
         )
-
-    def _density_lattices(self, conditions: Conditions[PlacedLight], tasks: AnyTasks) -> Lattices:
-        """Lattices of the density, which serve every light."""
-        if self._lattices is None or self._lattices[0] != conditions.sigma_hat:
-            self._lattices = None
-            lattices = density_lattices(self.padded, conditions.sigma_hat, self.network.points, self.extent, tasks.each)
-            self._lattices = conditions.sigma_hat, lattices
-        return self._lattices[1]
 
     def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several lights for lookups along camera rays. Raises Cancelled."""
@@ -206,7 +188,7 @@ class RayPredictor(Predictor):
         lights = {albedo: (FluenceLattice(transport.cells), transport.scale) for albedo, transport in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         start = conditions.light.near.soft_start(conditions.sigma_hat, density)
-        return LampNearby(share, lights, self.anisotropy, density, self.extent, start)
+        return LampNearby(share, lights, self.anisotropy, density, self.density.extent, start)
 
     def varying_albedo(
         self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How networks of kind "stencil", MRPNN of the paper and its variants, read a volume."""
 
-import threading
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..features.density_reader import DensityReader
 from ..features.descriptors import FieldLookup
-from ..features.mip_lattices import Lattices, density_lattices, padded_pyramid
+from ..features.mip_lattices import Lattices
 from ..features.stencil import Stencil
-from ..grids.working_cube import Cube, extent
+from ..grids.working_cube import Cube
 from ..network.conditions import LitConditions, RayPoints
 from ..network.interfaces import PointNetwork, Predictor
 from ..runtime.cancellation import NEVER, CancelToken
@@ -37,26 +37,16 @@ class StencilPredictor(Predictor):
         cancel: CancelToken = NEVER,
     ):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
-        self._lock = threading.Lock()
-        # Of the last optical thickness.
-        self._lattices: tuple[float, Lattices] | None = None
-        self.extent = extent(volume, cube)
-        self.padded = padded_pyramid(volume, cube, network.points, cancel)
+        self.density = DensityReader(volume, cube, network.points, cancel)
         self.phase = PhaseFeatures(network.points, anisotropy)
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> "PreparedStencil":
         """What predicts under these conditions. Raises Cancelled."""
         stencil, light = self.network.points, conditions.light
         visibility = visibility_levels(stencil, light.shadow_map) if light.shadow_map else None
-        sun = SunLevels(unit_optical_depths(self.padded, light.direction), visibility)
-        sigma_hat, mapper = conditions.sigma_hat, tasks.each
-        with tasks.cancel.locked(self._lock):
-            if self._lattices is None or self._lattices[0] != sigma_hat:
-                # Released before building new ones.
-                self._lattices = None
-                self._lattices = sigma_hat, density_lattices(self.padded, sigma_hat, stencil, self.extent, mapper)
-            density = self._lattices[1]
-        transmittance = sun_lattices(sun, sigma_hat, stencil, self.extent, mapper)
+        sun = SunLevels(unit_optical_depths(self.density.padded, light.direction), visibility)
+        transmittance = sun_lattices(sun, conditions.sigma_hat, stencil, self.density.extent, tasks.each)
+        density = self.density.lattices(conditions.sigma_hat, tasks)
         lookup = FieldLookup(stencil, density, light.direction)
         return PreparedStencil(self.network, lookup, transmittance, self.phase, self.anisotropy)
 
