@@ -10,7 +10,7 @@ from tests.support.window import LONG, NEEDS_WINDOW
 pytestmark = NEEDS_WINDOW
 
 BAKE = "with over(area('VIEW_3D')): bpy.ops.mrpnn.bake_light('INVOKE_DEFAULT', folder=WORK + '/light', everything=True)"
-LEAVE_OUT = "LEAVE_OUT = bpy.context.scene.mrpnn.leave_out\n"
+OPTIMIZATIONS = "OPTIMIZATIONS = bpy.context.scene.mrpnn.optimizations\n"
 LIGHTS = "[o for o in bpy.data.objects if 'mrpnn_light' in o]"
 # Every call of a kernel takes a twentieth of a second more.
 SLOW = """
@@ -64,13 +64,13 @@ def compiled(window, name):
 
 def test_esc_stops_a_bake_and_changes_nothing(lit):
     # Otherwise this small bake ends before anybody could press Esc.
-    lit.do(SLOW + LEAVE_OUT + "bpy.context.scene.mrpnn.leave_out = set()")
+    lit.do(SLOW + OPTIMIZATIONS + "bpy.context.scene.mrpnn.optimizations = set()")
     try:
         lit.do(BAKE)
         lit.press("Escape")
         lit.until(f"not {BAKING}")
     finally:
-        lit.do("library.load_kernels = fast; bpy.context.scene.mrpnn.leave_out = LEAVE_OUT")
+        lit.do("library.load_kernels = fast; bpy.context.scene.mrpnn.optimizations = OPTIMIZATIONS")
     assert lit.do(f"print(len({LIGHTS}), bpy.context.scene.mrpnn_light.active)") == "0 False"
 
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from inference import Environment
+from inference.environments.surface_irradiance import SurfaceIrradiance
 from inference.grids.working_cube import fit_cube
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.surface_irradiance import SurfaceIrradiance
 from tests.support.volumes import box
 
 CELLS, HALF, PHOTONS = 32, 0.25, 200_000

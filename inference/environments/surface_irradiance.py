@@ -9,10 +9,10 @@ from ..grids.working_cube import Cube
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment
-from .cell_sources import EnteringLight, SunBeam
-from .discrete_ordinates import DiscreteOrdinates
+from ..source_terms.cell_sources import EnteringLight, SunBeam
+from ..transport.discrete_ordinates import DiscreteOrdinates
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .environment_light import environment_lattice, image_in_frame, ordinate_radiance, read_lattice
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 # Depth behind a surface at which the flux is read, in cells: nothing scatters light back from there.
 BEHIND = 0.5

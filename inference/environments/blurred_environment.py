@@ -21,19 +21,19 @@ def _legendre(rows: int) -> np.ndarray:
     """Associated Legendre functions float64 (m, l, rows) up to DEGREES, normalised for integrals over the sphere."""
     z = pixel_directions(rows)[:, 0, 2]
     flat = np.sqrt(1.0 - z * z)
-    found = np.zeros((DEGREES + 1, DEGREES + 1, rows))
+    legendre = np.zeros((DEGREES + 1, DEGREES + 1, rows))
     sectoral = np.full(rows, np.sqrt(0.25 / np.pi))
     for m in range(DEGREES + 1):
         if m:
             sectoral = sectoral * flat * np.sqrt((2.0 * m + 1.0) / (2.0 * m))
-        found[m, m] = sectoral
+        legendre[m, m] = sectoral
         if m < DEGREES:
-            found[m, m + 1] = z * np.sqrt(2.0 * m + 3.0) * sectoral
+            legendre[m, m + 1] = z * np.sqrt(2.0 * m + 3.0) * sectoral
         for l in range(m + 2, DEGREES + 1):
             a = np.sqrt((4.0 * l * l - 1.0) / (l * l - m * m))
             b = np.sqrt(((l - 1.0) ** 2 - m * m) / (4.0 * (l - 1.0) ** 2 - 1.0))
-            found[m, l] = a * (z * found[m, l - 1] - b * found[m, l - 2])
-    return found
+            legendre[m, l] = a * (z * legendre[m, l - 1] - b * legendre[m, l - 2])
+    return legendre
 
 
 def blurred(image: np.ndarray, anisotropies: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -51,13 +51,13 @@ def blurred(image: np.ndarray, anisotropies: Sequence[float] | np.ndarray) -> np
     mean = (image * pixel_solid_angles(rows)[:, :, None]).sum(axis=(0, 1)) / (4.0 * np.pi)
     coefficients[0, 0] = 0.0
     degrees = np.arange(DEGREES + 1)
-    found = np.empty((rows, columns, len(anisotropies), channels), np.float32)
+    images = np.empty((rows, columns, len(anisotropies), channels), np.float32)
     for b, g in enumerate(anisotropies):
         scaled = coefficients * (float(g) ** degrees)[None, :, None]
         filtered = np.zeros((rows, columns // 2 + 1, channels), complex)
         filtered[:, :orders] = np.einsum("mlr,mlc->rmc", legendre[:orders], scaled) * columns
-        found[:, :, b] = np.fft.irfft(filtered, columns, axis=1) + mean
-    return found
+        images[:, :, b] = np.fft.irfft(filtered, columns, axis=1) + mean
+    return images
 
 
 def read_image(image: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ import pytest
 
 from inference import PointLight
 from inference.grids.working_cube import Cube
+from inference.source_terms.lamp_beam import CubeCells, LampInCube
+from inference.source_terms.nearby_light import NearbyMedium, nearby_light
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.lamp_beam import CubeCells, LampInCube
-from inference.transport.nearby_light import NearbyMedium, nearby_light
 
 CELLS, PLACE = 64, np.array([0.11, -0.07, 0.04])
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from inference.scene.phase_function import henyey_greenstein
-from inference.transport.forward_peak import forward_peak
+from inference.source_terms.forward_peak import forward_peak
 
 # The table's cosines.
 COSINES = np.linspace(-1.0, 1.0, 513)

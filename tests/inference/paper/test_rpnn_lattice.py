@@ -8,8 +8,14 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from inference import Sun
-from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
-from inference.features.rpnn_lattice import (
+from inference.features.mip_lattices import density_pyramid, padded_levels
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.models import weights_file
+from inference.network import network
+from inference.network.conditions import RayPoints
+from inference.network.placed_lights import PlacedSun
+from inference.network.predictor import VolumePredictor
+from inference.paper.rpnn_lattice import (
     FINE,
     LEVELS,
     POINTS,
@@ -18,18 +24,14 @@ from inference.features.rpnn_lattice import (
     refined_levels,
     sun_frames,
 )
-from inference.grids.working_cube import fit_cube, level0_density
-from inference.network import network, weights_file
-from inference.network.conditions import RayPoints
-from inference.network.placed_lights import PlacedSun
-from inference.network.predictor import VolumePredictor
+from inference.paper.sun_lattices import unit_optical_depths
 from training.data import lattice_rows
 from training.data.descriptors import Levels, describe_points
-from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
 from training.data.targets import unit_vectors
 from training.export import export, save
 from training.networks import RPNN
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.path_tracer import sample_scattering_points
 
 SUN = np.array([0.36, -0.48, 0.8])
@@ -167,7 +169,7 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
         predictor = VolumePredictor(network.load_network("rpnn"), volume, 0.857)
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
-        prepared = predictor.prepare(sigma_t, PlacedSun(Sun(data["sun"][kept[i]]), cube), predictor.bounds(position))
+        prepared = predictor.prepare(sigma_t, PlacedSun(Sun(data["sun"][kept[i]]), cube))
         np.testing.assert_allclose(prepared.predict(RayPoints(position, omega), [1.0])[0, 0], trained[i], rtol=5e-3)
 
 

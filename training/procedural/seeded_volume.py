@@ -4,7 +4,7 @@
 import numpy as np
 
 from inference.scene import Volume
-from training.data.volumes import make_volume
+from training.procedural.volumes import make_volume
 
 #: Cells per cube edge, since real grids are coarse and fine; the upper end is excluded.
 RESOLUTIONS = (96, 208)

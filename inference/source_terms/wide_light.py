@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.held_cells import with_neighbours
 from ..kernels.library import call
 from ..numerics.exponential import one_minus_exp
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..runtime.cancellation import NEVER, CancelToken
+from ..transport.radiance_sweep import directions
 from .forward_peak import ForwardPeak
-from .radiance_sweep import directions
+from .held_cells import with_neighbours
 
 #: Directions along an edge of each face of a cube.
 FACE = 4
@@ -52,13 +52,13 @@ def scattered_wide(lobes: Sequence[Lobe], peak: ForwardPeak, along: np.ndarray, 
 
     shares: (D,), of the sphere. As much in all as scatters, whatever the directions.
     """
-    found = np.zeros((len(along), *lobes[0].amount.shape), np.float32)
+    scattered = np.zeros((len(along), *lobes[0].amount.shape), np.float32)
     for lobe in lobes:
         row = _row(lobe, peak)
         phases = np.stack([peak.table[row, _column(lobe, one, peak)] for one in along])
         sums = sum(np.float32(4.0 * np.pi * share) * phase for share, phase in zip(shares, phases))
-        found += phases * (lobe.amount * np.float32(peak.share / (1.0 - peak.anisotropy**2)) / sums)
-    return found
+        scattered += phases * (lobe.amount * np.float32(peak.share / (1.0 - peak.anisotropy**2)) / sums)
+    return scattered
 
 
 def wide_light(

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..grids.dense_grid import DenseGrid
-from ..grids.held_cells import box_of, with_neighbours
 from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..grids.working_cube import Cube
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.emitters import Emitter, LampSource
 from ..scene.spot_cone import SpotCone
-from .discrete_ordinates import DiscreteOrdinates
+from ..transport.discrete_ordinates import DiscreteOrdinates
+from .held_cells import box_of, with_neighbours
 from .lamp_cells import LampCells, light_in_cells
 
 # Sample points along an edge of a cell, where a lamp is one point: of all cells that hold density, and of those within
@@ -168,7 +168,7 @@ class LampInCube:
         return LampSource(position, centre, source.radius / self.cube.edge, source.soft_falloff)
 
 
-def directions_to(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Unit vectors (N, 3) from positions (N, 3) to a place (3,)."""
-    away = place - positions
+def directions_to(lamp: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) from positions (N, 3) to a lamp (3,)."""
+    away = lamp - positions
     return away / np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]

@@ -5,7 +5,7 @@ A volume lies in the working cube: cell (i, j, k) of N^3 has its centre at ((i, 
 and the outermost layer of cells is empty. Its active part is centred and fills the cube along its longest axis, as a
 real file fitted to its cube does.
 
-    python -m training.data.volumes --seeds 0-23 --out FOLDER
+    python -m training.procedural.volumes --seeds 0-23 --out FOLDER
 """
 
 import argparse
@@ -181,7 +181,9 @@ def contact_sheet(sample: Sample, size: int = 192) -> np.ndarray:
 def main(argv=None):
     from PIL import Image
 
-    parser = argparse.ArgumentParser(prog="python -m training.data.volumes", description="Contact sheet of volumes.")
+    parser = argparse.ArgumentParser(
+        prog="python -m training.procedural.volumes", description="Contact sheet of volumes."
+    )
     parser.add_argument("--seeds", default="0-23", help="a range, both ends included: 0-23")
     parser.add_argument("--resolution", type=int, default=192)
     parser.add_argument("--out", type=Path, required=True, help="folder for contact_sheet.png")

@@ -9,8 +9,8 @@ import numpy as np
 from ..grids.optical_depth_sweep import sun_optical_depth
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
-from .discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
+from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
 
 # Cells whose beams are found at once: few enough for matrix products that stay on this thread.
 BEAMS_PER_BLOCK = 1024
@@ -110,11 +110,11 @@ def scattered_beams(light: np.ndarray, towards: np.ndarray, anisotropy: float) -
     turned = (np.copysign(1.0, anisotropy) * ORDINATES).astype(np.float32)
     weights = (4.0 * np.pi * ORDINATE_WEIGHTS).astype(np.float32)
     for start in range(0, len(lit), BEAMS_PER_BLOCK):
-        some = lit[start : start + BEAMS_PER_BLOCK]
-        phases = np.maximum(1 - turned @ towards[:, some], np.float32(0.0))
+        block = lit[start : start + BEAMS_PER_BLOCK]
+        phases = np.maximum(1 - turned @ towards[:, block], np.float32(0.0))
         phases *= 2 * g
         phases += (1 - g) ** 2
         phases *= np.sqrt(phases)
         np.reciprocal(phases, out=phases)
-        flat[:, some] = phases * (light.reshape(-1)[some] / np.einsum("dn,d->n", phases, weights))
+        flat[:, block] = phases * (light.reshape(-1)[block] / np.einsum("dn,d->n", phases, weights))
     return beams

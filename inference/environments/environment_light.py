@@ -16,9 +16,9 @@ from ..grids.halving import halve
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
-from .cell_sources import EnteringLight
-from .discrete_ordinates import DiscreteOrdinates
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES
+from ..source_terms.cell_sources import EnteringLight
+from ..transport.discrete_ordinates import DiscreteOrdinates
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 #: Rows of the images that are read here; larger ones are reduced before.
 ROWS = 64
@@ -106,18 +106,18 @@ def _turned(environment: Environment, rotation: np.ndarray) -> np.ndarray:
     weights, count = weights.ravel(), 2 * ROWS * ROWS
     area = np.bincount(pixel, weights, count)
     sums = [np.bincount(pixel, weights * channel, count) for channel in image.reshape(-1, 3).T]
-    found = np.stack(sums, axis=-1) / np.maximum(area, 1e-30)[:, None]
+    turned = np.stack(sums, axis=-1) / np.maximum(area, 1e-30)[:, None]
     # Pixels that none falls in take the value of their neighbour.
     for empty in np.flatnonzero(area == 0.0):
-        found[empty] = found[empty - 1] if empty else found[np.flatnonzero(area)[0]]
-    return found.reshape(ROWS, 2 * ROWS, 3)
+        turned[empty] = turned[empty - 1] if empty else turned[np.flatnonzero(area)[0]]
+    return turned.reshape(ROWS, 2 * ROWS, 3)
 
 
 def _directions() -> tuple[np.ndarray, np.ndarray]:
     """Lebedev's quadrature of 50 points (Lebedev and Laikov 1999): unit vectors (50, 3) and weights (50,)."""
     rises = np.array(list(np.ndindex(7, 7, 7))) - 3
     sizes = np.sort(np.abs(rises), axis=1)
-    found, weights = [], []
+    directions, weights = [], []
     for kind, weight in (
         ((0, 0, 1), 4.0 / 315.0),
         ((0, 1, 1), 64.0 / 2835.0),
@@ -125,9 +125,9 @@ def _directions() -> tuple[np.ndarray, np.ndarray]:
         ((1, 1, 3), 14641.0 / 725760.0),
     ):
         points = rises[(sizes == kind).all(axis=1)]
-        found.append(points / np.linalg.norm(points, axis=1, keepdims=True))
+        directions.append(points / np.linalg.norm(points, axis=1, keepdims=True))
         weights.append(np.full(len(points), weight))
-    return np.concatenate(found), np.concatenate(weights)
+    return np.concatenate(directions), np.concatenate(weights)
 
 
 #: Directions (50, 3) in which it is known what is open to a point, and their shares (50,) of the sphere.
@@ -142,10 +142,10 @@ def _parts(rows: int, number: int) -> np.ndarray:
     """
     towards, weights = (ORDINATES, ORDINATE_WEIGHTS) if number == len(ORDINATES) else (DIRECTIONS, DIRECTION_WEIGHTS)
     directions = pixel_directions(rows).reshape(-1, 3)
-    share = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows)).ravel() / (4.0 * np.pi)
-    parts = np.exp(SHARPNESS * number * (product(towards, directions.T) - 1.0)) * share
+    solid_angle = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows)).ravel() / (4.0 * np.pi)
+    parts = np.exp(SHARPNESS * number * (product(towards, directions.T) - 1.0)) * solid_angle
     for _ in range(ROUNDS):
-        parts *= share / (weights[:, None] * parts).sum(axis=0)
+        parts *= solid_angle / (weights[:, None] * parts).sum(axis=0)
         parts /= parts.sum(axis=1, keepdims=True)
     return parts
 
@@ -182,14 +182,14 @@ def solve_environment(
     light = np.asarray(radiance).T / (4.0 * np.pi)
     even = np.full((1, len(ORDINATES)), 1.0 / (4.0 * np.pi))
     solver = DiscreteOrdinates(coarse, sigma_hat, anisotropy)
-    found = np.stack([solver.solve(EnteringLight(channel), cancel) for channel in light], axis=1)
+    solved = np.stack([solver.solve(EnteringLight(channel), cancel) for channel in light], axis=1)
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
     halve(np.ascontiguousarray(coarse), coarser)
     absorbed = []
     for albedo in ALBEDOS:
         solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, albedo=albedo)
         absorbed += [solver.solve(EnteringLight(channel), cancel) for channel in np.concatenate([light, even])]
-    return environment_lattice(found), environment_lattice(np.stack(absorbed, axis=1))
+    return environment_lattice(solved), environment_lattice(np.stack(absorbed, axis=1))
 
 
 def reaching(

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from inference.runtime.cancellation import Cancelled, CancelToken
-from inference.transport.forward_peak import forward_peak
-from inference.transport.peak_photons import LampInCells, peak_light
+from inference.source_terms.forward_peak import forward_peak
+from inference.source_terms.peak_photons import LampInCells, peak_light
 from tests.support.kernels import VARIANTS, variant
 
 ALBEDO = 0.9

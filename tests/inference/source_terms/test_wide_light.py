@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 
-from inference.transport.forward_peak import forward_peak
+from inference.source_terms.forward_peak import forward_peak
+from inference.source_terms.wide_light import FACE, Lobe, scattered_wide, wide_light
 from inference.transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from inference.transport.radiance_sweep import sweep_radiance
-from inference.transport.wide_light import FACE, Lobe, scattered_wide, wide_light
 from tests.support.kernels import VARIANTS, variant
 
 SHAPE = 14, 9, 11

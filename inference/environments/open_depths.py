@@ -31,9 +31,9 @@ def direction_depths(coarse: np.ndarray, cancel: CancelToken = NEVER) -> np.ndar
     """
     n = len(coarse)
     depths = np.empty((len(DIRECTIONS), n + 2, n + 2, n + 2), np.float32)
-    for found, towards in zip(depths, DIRECTIONS):
+    for depth, towards in zip(depths, DIRECTIONS):
         cancel.check()
-        found[...] = np.pad(sun_optical_depth(coarse, towards, 1.0 / n), 1, mode="edge")
+        depth[...] = np.pad(sun_optical_depth(coarse, towards, 1.0 / n), 1, mode="edge")
     return depths
 
 
@@ -51,7 +51,7 @@ class OpenDepths:
     def __call__(self, positions: np.ndarray) -> np.ndarray:
         """Depths float32 (N, 50) towards DIRECTIONS, from positions (N, 3) in the cube's frame."""
         at = np.ascontiguousarray(positions, np.float32)
-        found = np.empty((len(at), len(DIRECTIONS)), np.float32)
+        depths = np.empty((len(at), len(DIRECTIONS)), np.float32)
         call(
             "sample_open_depths",
             points=len(at),
@@ -68,6 +68,6 @@ class OpenDepths:
             reach=REACH,
             lattice=self.lattice,
             edge=self.lattice.shape[1],
-            depths=found,
+            depths=depths,
         )
-        return found
+        return depths

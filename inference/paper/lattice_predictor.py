@@ -8,13 +8,13 @@ import numpy as np
 
 from ..features.descriptors import angle_to_sun
 from ..features.mip_lattices import DENSITY_SCALE, density_pyramid
-from ..features.rpnn_lattice import POINTS, SunLattice, read_lattices, refined_levels
 from ..grids.working_cube import Cube, level0_density
+from ..network.conditions import LitConditions, RayPoints
+from ..network.interfaces import PointNetwork, Predictor
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
-from .conditions import LitConditions, RayPoints
-from .interfaces import PointNetwork, Predictor
+from .rpnn_lattice import SunLattice, read_lattices, refined_levels
 
 
 def density_feature(sigma_hat: np.float32, density: np.ndarray) -> np.ndarray:
@@ -29,8 +29,7 @@ class LatticePredictor(Predictor):
     Safe on several threads. Raises Cancelled.
     """
 
-    needs_ray_features = False
-    respects_surfaces = False
+    respects_surfaces = respects_albedo = False
 
     def __init__(
         self,
@@ -44,11 +43,6 @@ class LatticePredictor(Predictor):
         self.density = refined_levels(density_pyramid(level0_density(volume, cube, cancel)))
         self._lock = threading.Lock()
         self._features: tuple[float, list[np.ndarray]] | None = None
-
-    @staticmethod
-    def read_points(values: np.ndarray) -> SunLattice:
-        """The lattice from the floats of a weights file."""
-        return SunLattice(values.reshape(POINTS, 3))
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> "PreparedLattice":
         """What predicts under these conditions; bounds and surfaces are not used. Raises Cancelled."""
@@ -70,7 +64,7 @@ class PreparedLattice:
     network: PointNetwork[SunLattice]
     features: list[np.ndarray]
     sun: np.ndarray
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """As PreparedPrediction; ray features are not used."""

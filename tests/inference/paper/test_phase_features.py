@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from inference.features.phase_features import PhaseFeatures, cone_half_angles, cumulative_phase
 from inference.features.stencil import LOW_POINTS, frames
+from inference.paper.phase_features import PhaseFeatures, cone_half_angles, cumulative_phase
 from inference.scene.phase_function import PhaseFunction, henyey_greenstein
 from training.data.stencil import load_stencil
 

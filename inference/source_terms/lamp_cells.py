@@ -54,7 +54,7 @@ def light_in_cells(
     size = max(SAMPLES_PER_CALL // (parts**3 * len(emitters)), 1)
     for start in range(0, len(numbers), size):
         cancel.check()
-        some = slice(start, start + size)
+        span = slice(start, start + size)
         call(
             "lamp_beam",
             lamp=len(emitters),
@@ -63,14 +63,14 @@ def light_in_cells(
             shadow_maps=pointers_to(maps),
             shape=np.array(cells.shape),
             first=cells.first,
-            count=len(numbers[some]),
-            numbers=np.ascontiguousarray(numbers[some], np.int64),
+            count=len(numbers[span]),
+            numbers=np.ascontiguousarray(numbers[span], np.int64),
             parts=parts,
             world=cells.world_from_index,
             offset=cells.origin,
             sigma=cells.sigma,
             radius=radius,
-            light=light[0, some],
-            open=light[1, some],
+            light=light[0, span],
+            open=light[1, span],
         )
     return light

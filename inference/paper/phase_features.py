@@ -7,9 +7,9 @@ The phase function carries 1/(4 pi) and integrates to 1 over the sphere.
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..features.stencil import LAYER_MIPS, LAYER_POINTS, LOW_POINTS, Stencil
 from ..plan.resolution import LEVEL0_CELLS
 from ..scene.phase_function import henyey_greenstein
-from .stencil import LAYER_MIPS, LAYER_POINTS, LOW_POINTS, Stencil
 
 
 def cumulative_phase(cosine: ArrayLike, half_angle: ArrayLike, anisotropy: float) -> np.ndarray:

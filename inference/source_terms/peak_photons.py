@@ -69,8 +69,8 @@ def peak_light(
     starts, numbers = _first_collisions(scattered / power, lamp.corner)
     for first in range(0, len(starts), PHOTONS_PER_CALL):
         cancel.check()
-        some = slice(first, first + PHOTONS_PER_CALL)
-        _follow(lamp, peak, starts[some], numbers[some], sums)
+        span = slice(first, first + PHOTONS_PER_CALL)
+        _follow(lamp, peak, starts[span], numbers[span], sums)
     light = _smoothed(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), lamp.closed is None)
     light *= np.float32(power)
     return light
@@ -125,13 +125,13 @@ def _smoothed(sums: np.ndarray, open_: bool) -> np.ndarray:
         return light.copy()
     mean, square = _blurred(sums[:1], 1)[0], _blurred(sums[SUMS - 1 :], 1)[0]
     variance = square / np.maximum(mean**2, np.float32(1e-30))
-    found, uncertain = np.zeros_like(light), light
+    smoothed, uncertain = np.zeros_like(light), light
     # What is uncertain in a cell is given to the cells around it, so that no light is lost or made.
     for number, less in enumerate((1.0, LESS)):
-        share = np.clip(np.float32(CERTAIN * less) / np.maximum(variance, np.float32(1e-30)), 0.0, 1.0)
-        found += share * uncertain
-        uncertain = _blurred((1.0 - share) * uncertain, 2**number)
-    return found + uncertain
+        trust = np.clip(np.float32(CERTAIN * less) / np.maximum(variance, np.float32(1e-30)), 0.0, 1.0)
+        smoothed += trust * uncertain
+        uncertain = _blurred((1.0 - trust) * uncertain, 2**number)
+    return smoothed + uncertain
 
 
 def _blurred(values: np.ndarray, step: int) -> np.ndarray:

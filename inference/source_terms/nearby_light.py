@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grids.held_cells import box_of
 from ..runtime.cancellation import NEVER, CancelToken
-from .discrete_ordinates import DiscreteOrdinates
+from ..transport.discrete_ordinates import DiscreteOrdinates
+from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .forward_peak import forward_peak
+from .held_cells import box_of
 from .lamp_beam import CubeCells, LampInCube
-from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .peak_photons import LampInCells, peak_light
 from .wide_light import MOMENTS, Lobe, scattered_wide, wide_light
 
@@ -56,9 +56,9 @@ def nearby_light(
     lit_cells = LampInCells(depth, light, (lamp.place + 0.5) * n - corner, closed, medium.albedo, lamp.cone, corner)
     narrow = peak_light(lit_cells, peak, cancel)
     lobes = [Lobe(light, -towards[inner], _straightness(lit_cells)), Lobe.of(narrow[0], narrow[1:])]
-    found = np.zeros((MOMENTS + 4, n, n, n), np.float32)
-    found[MOMENTS:][inner] = narrow
-    beams, wide = None, found[:MOMENTS]
+    moments = np.zeros((MOMENTS + 4, n, n, n), np.float32)
+    moments[MOMENTS:][inner] = narrow
+    beams, wide = None, moments[:MOMENTS]
     if boundaries is None:
         scaled = solver.extinction[box] * np.float32(1.0 / n)
         wide[inner] = wide_light(scaled, float(solver.albedo), lobes, peak, cancel)
@@ -67,7 +67,7 @@ def nearby_light(
         beams = np.zeros((len(ORDINATES), n, n, n), np.float32)
         beams[inner] = scattered_wide(lobes, peak, -ORDINATES, ORDINATE_WEIGHTS)
     wide += solver.moments(wide[:4].copy(), beams, cancel)
-    return found
+    return moments
 
 
 def _straightness(cells: LampInCells) -> np.ndarray | float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How networks of kinds "stencil" and "ray" read a volume."""
+"""How networks of kind "ray" read a volume."""
 
 import functools
 import threading
@@ -8,32 +8,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..features.descriptors import FieldLookup, describe
+from ..environments.blurred_environment import blurred
+from ..environments.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
+from ..environments.open_depths import OpenDepths, direction_depths
+from ..features.density_reader import DensityReader
+from ..features.descriptors import FieldLookup
 from ..features.final_gather import LEVEL as GATHER_LEVEL
 from ..features.final_gather import FinalGather
-from ..features.mip_lattices import (
-    Lattices,
-    SunLevels,
-    build_lattices,
-    inner_cells,
-    padded_pyramid,
-    unit_optical_depths,
-    visibility_levels,
-)
-from ..features.phase_features import PhaseFeatures
 from ..features.stencil import SPARSE, Stencil
 from ..grids.halving import halve
 from ..grids.working_cube import Cube
+from ..models.abilities import Abilities
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
-from ..transport.blurred_environment import blurred
+from ..source_terms.lamp_beam import CubeCells
+from ..source_terms.nearby_light import NearbyMedium
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
-from ..transport.lamp_beam import CubeCells
 from ..transport.mean_free_path import mean_free_path
-from ..transport.nearby_light import NearbyMedium
-from ..transport.open_depths import OpenDepths, direction_depths
 from ..transport.scattered_fluence import (
     FluenceLattice,
     ScatteredFluence,
@@ -42,91 +34,17 @@ from ..transport.scattered_fluence import (
     moment_lattice,
 )
 from ..transport.varying_albedo import CoarseAlbedo
-from .conditions import Bounds, Conditions, LitConditions, PlacedLight, RayPoints
+from .conditions import Conditions, LitConditions, PlacedLight
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import PointNetwork, Predictor, PreparedPrediction
+from .interfaces import PointNetwork, Predictor
 from .lamp_nearby import MIN_ALBEDO, LampNearby
+from .network import Kind
 from .placed_lights import PlacedSkies
 from .prepared_rays import PreparedRays
 
 # Fluence lattices, of lights and optical thicknesses, that are cached per volume.
 MAX_LATTICES = 128
-
-
-class StencilPredictor(Predictor):
-    """Density, transmittance and phase function at the stencil, for a network that reads them; a `Predictor`.
-
-    network: whose `points` are the Stencil. cube: of the volume. Safe on several
-    threads. Raises Cancelled.
-    """
-
-    needs_ray_features = False
-    respects_surfaces = True
-
-    def __init__(
-        self,
-        network: PointNetwork[Stencil],
-        volume: Volume,
-        cube: Cube,
-        anisotropy: float,
-        cancel: CancelToken = NEVER,
-    ):
-        self.network, self.cube, self.anisotropy = network, cube, anisotropy
-        self._lock = threading.Lock()
-        self._lattices: tuple[tuple[float, ...], Lattices] | None = None
-        self.volume = volume
-        self.padded = padded_pyramid(volume, cube, network.points, cancel)
-        self._read_pyramid()
-
-    def _read_pyramid(self) -> None:
-        """Compute what depends on the volume alone."""
-        self.phase = PhaseFeatures(self.network.points, self.anisotropy)
-
-    @staticmethod
-    def read_points(values: np.ndarray) -> Stencil:
-        """The stencil from the floats of a weights file."""
-        return Stencil.read(values)
-
-    def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
-        """What predicts under these conditions. Raises Cancelled."""
-        stencil, light = self.network.points, conditions.light
-        visibility = visibility_levels(stencil, light.shadow_map) if light.shadow_map else None
-        sun = SunLevels(unit_optical_depths(self.padded, light.direction), visibility)
-        with tasks.cancel.locked(self._lock):
-            earlier = None
-            if self._lattices is not None and self._lattices[0] == conditions.bounds_key:
-                earlier = self._lattices[1]
-            # Released before building new ones.
-            self._lattices = None
-            lattices = build_lattices(
-                self.padded, conditions.sigma_hat, stencil, sun, conditions.bounds, tasks.each, earlier
-            )
-            self._lattices = conditions.bounds_key, lattices
-        lookup = FieldLookup(stencil, lattices, light.direction)
-        return PreparedStencil(self.network, lookup, self.phase, self.anisotropy)
-
-
-@dataclass(frozen=True)
-class PreparedStencil:
-    """A StencilPredictor under certain conditions; a `PreparedPrediction`."""
-
-    network: PointNetwork[Stencil]
-    lookup: FieldLookup
-    phase: PhaseFeatures
-    anisotropy: float
-    scale = 1.0
-
-    def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
-        """As PreparedPrediction; ray features are not used."""
-        features, gamma = describe(self.lookup, self.phase, points.positions, points.directions, points.jitter)
-        anisotropy = np.full(gamma.shape, self.anisotropy, np.float32)
-        return self.network.run(features=features, anisotropy=anisotropy, gamma=gamma, albedo=albedos)
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size
 
 
 @dataclass(frozen=True)
@@ -149,24 +67,28 @@ class _Solved:
         )
 
 
-class RayPredictor(StencilPredictor):
+class RayPredictor(Predictor):
     """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
 
-    Arguments as for StencilPredictor.
+    An `EveryLightPredictor`. network: whose `points` are the sparse stencil. cube: of the volume. Safe on several
+    threads. Raises Cancelled.
     """
 
-    needs_ray_features = True
+    respects_surfaces = respects_albedo = True
 
-    @staticmethod
-    def read_points(values: np.ndarray) -> Stencil:
-        """The sparse stencil from the floats of a weights file."""
-        return Stencil.read(values, SPARSE)
-
-    def _read_pyramid(self) -> None:
-        """Take the levels that the coarse transport is solved on and that light is gathered through."""
-        self.coarse, self.fine = (
-            np.ascontiguousarray(inner_cells(self.padded[m], m, self.network.points)) for m in (LEVEL, GATHER_LEVEL)
-        )
+    def __init__(
+        self,
+        network: PointNetwork[Stencil],
+        volume: Volume,
+        cube: Cube,
+        anisotropy: float,
+        cancel: CancelToken = NEVER,
+    ):
+        self.network, self.cube, self.anisotropy = network, cube, anisotropy
+        self._lock = threading.Lock()
+        self.volume, self.density = volume, DensityReader(volume, cube, network.points, cancel)
+        # The levels that the coarse transport is solved on and that light is gathered through.
+        self.coarse, self.fine = (np.ascontiguousarray(self.density.level(m)) for m in (LEVEL, GATHER_LEVEL))
         self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
         self._solved: dict[Hashable, _Solved] = {}
         self._depths: OpenDepths | None = None
@@ -178,7 +100,7 @@ class RayPredictor(StencilPredictor):
         """What predicts under these conditions. Raises Cancelled."""
         light, sigma_hat = conditions.light, conditions.sigma_hat
         with tasks.cancel.locked(self._lock):
-            lattices = self._density_lattices(conditions, tasks)
+            lattices = self.density.lattices(conditions.sigma_hat, tasks)
             solved = self._solve(conditions, tasks.cancel)
         depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), tasks.cancel)
         return PreparedRays(
@@ -208,9 +130,9 @@ class RayPredictor(StencilPredictor):
         ordinates = ordinate_radiance(skies.image)
         key = conditions.sigma_hat, ordinates.tobytes(), skies.weights
         with tasks.cancel.locked(self._lock):
-            lattices = self._density_lattices(conditions, tasks)
+            lattices = self.density.lattices(conditions.sigma_hat, tasks)
             if self._depths is None:
-                levels = [inner_cells(self.padded[m], m, self.network.points) for m in (0, 1)]
+                levels = [self.density.level(m) for m in (0, 1)]
                 lattice = direction_depths(self.coarse, tasks.cancel)
                 self._depths = OpenDepths(levels, lattice)
             if self._environment is None or self._environment[0] != key:
@@ -237,20 +159,6 @@ class RayPredictor(StencilPredictor):
             anisotropy=self.anisotropy,
         )
 
-    def _density_lattices(self, conditions: Conditions[PlacedLight], tasks: AnyTasks) -> Lattices:
-        """Lattices of the density, which serve every light."""
-        if self._lattices is None or self._lattices[0] != conditions.bounds_key:
-            self._lattices = None
-            lattices = build_lattices(
-                self.padded,
-                conditions.sigma_hat,
-                self.network.points,
-                bounds=conditions.bounds,
-                mapper=tasks.each,
-            )
-            self._lattices = conditions.bounds_key, lattices
-        return self._lattices[1]
-
     def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several lights for lookups along camera rays. Raises Cancelled."""
 
@@ -271,17 +179,16 @@ class RayPredictor(StencilPredictor):
         conditions: LitConditions,
         albedos: Sequence[float],
         share: float,
-        extent: Bounds,
         tasks: AnyTasks = SERIAL,
     ) -> LampNearby:
-        """The transport of a near light for some albedos; share, extent: as in LampNearby. Raises Cancelled."""
+        """The transport of a near light for some albedos; share: as in LampNearby. Raises Cancelled."""
         assert conditions.light.near is not None
         with tasks.cancel.locked(self._lock):
             solved = {albedo: self._solve(replace(conditions, albedo=albedo), tasks.cancel) for albedo in albedos}
-        lights = {albedo: (FluenceLattice(one.cells), one.scale) for albedo, one in solved.items()}
+        lights = {albedo: (FluenceLattice(transport.cells), transport.scale) for albedo, transport in solved.items()}
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
         start = conditions.light.near.soft_start(conditions.sigma_hat, density)
-        return LampNearby(share, lights, self.anisotropy, density, extent, start)
+        return LampNearby(share, lights, self.anisotropy, density, self.density.extent, start)
 
     def varying_albedo(
         self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL
@@ -305,8 +212,8 @@ class RayPredictor(StencilPredictor):
     def _solve(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
         """The transport of a light, solved once."""
         key, light = conditions.key, conditions.light
-        found = self._solved.get(key)
-        if found is None:
+        solved = self._solved.get(key)
+        if solved is None:
             if len(self._solved) >= MAX_LATTICES:
                 self._solved.clear()
             if conditions.albedo is None:
@@ -321,8 +228,8 @@ class RayPredictor(StencilPredictor):
             scale = light.scale(cells[0])
             cells /= np.float32(scale)
             lattice = fluence_lattice if conditions.albedo is None else moment_lattice
-            found = self._solved[key] = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
-        return found
+            solved = self._solved[key] = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
+        return solved
 
     def _solver(self, conditions: LitConditions) -> DiscreteOrdinates:
         """Solver of the transport; all lights of a render share their optical thickness and occluders."""
@@ -339,3 +246,7 @@ class RayPredictor(StencilPredictor):
 
     def _new_solver(self, conditions: LitConditions, albedo: float = 1.0) -> DiscreteOrdinates:
         return DiscreteOrdinates(self.coarse, conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo)
+
+
+#: Networks that read the light along camera rays, and with it every kind of light.
+RAY = Kind(lambda values: Stencil.read(values, SPARSE), RayPredictor, Abilities(every_light=True))
