@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that bake predicted scattering into light for Cycles and EEVEE, and remove it again."""
 
-import os
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +11,7 @@ from ..inference.scene import SceneError, Settings
 from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, light_state, remove_light, show_light
 from ..mrpnn_addon.baking.fast_settings import set_fast
+from ..mrpnn_addon.baking.light_folder import FOLDER, light_folder
 from ..mrpnn_addon.objects.visibility import visible_objects
 from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import percent, report, status_bar
@@ -21,7 +21,6 @@ from ..mrpnn_addon.status.recommendation import LAYER, recommend
 from .waiting import SceneLoading
 
 TICK_INTERVAL = 0.1
-FOLDER = "//baked_light"
 
 
 class MRPNN_OT_bake_light(bpy.types.Operator):
@@ -179,6 +178,8 @@ class MRPNN_OT_bake_light_remove(bpy.types.Operator):
 
     def execute(self, context: "bpy.types.Context") -> set[str]:
         remove_light(context.scene)
+        scene: Any = context.scene
+        scene.mrpnn_live_light = False
         return {"FINISHED"}
 
 
@@ -214,13 +215,6 @@ def is_sun(shown_object: "bpy.types.Object") -> bool:
 
 def _count(volumes: list) -> str:
     return "1 volume" if len(volumes) == 1 else f"{len(volumes)} volumes"
-
-
-def light_folder(folder: str) -> str:
-    """The absolute path of a folder of baked light; a temporary one beside no .blend file."""
-    if folder.startswith("//") and not bpy.data.filepath:
-        return os.path.join(bpy.app.tempdir, "baked_light")
-    return os.path.abspath(bpy.path.abspath(folder))
 
 
 def bake_warnings(description: SceneDescription) -> list[str]:

@@ -14,6 +14,7 @@ import bpy
 from ..inference.scene import SceneError, Settings
 from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
 from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
+from ..mrpnn_addon.baking.light_folder import light_folder
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.objects.views import view_path, view_paths
@@ -22,7 +23,7 @@ from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_imag
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.scene.reader import SceneDescription
 from ..mrpnn_addon.settings.properties import scene_settings
-from .bake import bake_warnings, light_folder, make_fast
+from .bake import bake_warnings, make_fast
 from .command_frames import each_frame, frame_reader, require_none
 from .console import Console
 

@@ -17,6 +17,7 @@ from ...inference.baking.directional_factor import (
     DirectionalFactor,
     Lobe,
 )
+from ..nodes.material import LIGHT_MARK
 from ..nodes.sockets import Node, Socket
 from ..vdb.light_file import COLOURS, DENSITY, LIGHT, anchor_grids, smooth_grids
 
@@ -42,6 +43,8 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
     material = bpy.data.materials.new(name)
     if not material.node_tree:
         material.use_nodes = True
+    # So that a change of it counts as none of the scene.
+    material[LIGHT_MARK] = material.node_tree[LIGHT_MARK] = name
     build = _Nodes(material.node_tree)
     build.tree.nodes.clear()
     # Density and light are interpolated apart, as `LitVolume` says.
