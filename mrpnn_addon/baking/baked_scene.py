@@ -19,7 +19,7 @@ from ..scene.reader import SceneDescription
 from ..settings.properties import scene_settings
 from .bake_job import BakedScene, BakedVolume
 from .content import light_keys, volume_names
-from .light_material import light_material, set_frame
+from .light_material import light_material, reuse, set_frame
 
 COLLECTION = "Baked Light"
 _ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
@@ -186,12 +186,13 @@ def _show(scene: "bpy.types.Scene", one: BakedVolume) -> None:
         item.shown = _light_object(one.name)
         state.collection.objects.link(item.shown)
     data = item.shown.data
-    materials = list(data.materials)
-    data.materials.clear()
-    _remove_materials(materials)
     set_file(data, one.path)
     data.is_sequence = False
-    data.materials.append(light_material(f"{one.name} Light", one.scale, one.directional))
+    materials = list(data.materials)
+    if not reuse(materials[0] if materials else None, one.scale, one.directional):
+        data.materials.clear()
+        _remove_materials(materials)
+        data.materials.append(light_material(f"{one.name} Light", one.scale, one.directional))
     item.key = one.key
 
 

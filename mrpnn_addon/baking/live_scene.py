@@ -149,11 +149,22 @@ class LiveScene:
             return
         baked: BakedScene = worker.result
         if _changes(context.scene, baked):
-            show_light(context.scene, baked)
+            self._show(context, baked)
         self._shows = True
         if kind == FINE:
             self._known.update((one.key, one) for one in baked.volumes)
             self._remove_oldest({one.path for one in baked.volumes})
+
+    def _show(self, context: "bpy.types.Context", baked: BakedScene) -> None:
+        """Show light, which counts as no change of the scene."""
+        context.evaluated_depsgraph_get()
+        unread, unread_volumes = scene_state(context.scene) != self._read, volume_changes() != self._volumes
+        show_light(context.scene, baked)
+        context.evaluated_depsgraph_get()
+        if not unread:
+            self._read = self._seen = scene_state(context.scene)
+        if not unread_volumes:
+            self._volumes = volume_changes()
 
     def _fail(self, error: Exception) -> None:
         """Tell the panel; the next change of the scene is another try."""
