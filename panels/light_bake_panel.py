@@ -7,7 +7,12 @@ from ..mrpnn_addon.baking.baked_scene import light_state
 from ..mrpnn_addon.baking.live import is_live, live_status, not_kept
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.status.recommendation import Recommendation, recommend
-from ..operators.bake import MRPNN_OT_bake_light, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove
+from ..operators.bake import (
+    MRPNN_OT_bake_animation,
+    MRPNN_OT_bake_light,
+    MRPNN_OT_bake_light_fast,
+    MRPNN_OT_bake_light_remove,
+)
 from .text import draw_text
 
 _recommended: dict = {}
@@ -28,6 +33,7 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
             row = layout.row(align=True)
             row.operator(MRPNN_OT_bake_light.bl_idname, icon="OUTLINER_OB_LIGHT")
             row.prop(scene, "mrpnn_live_light", toggle=True)
+            layout.operator(MRPNN_OT_bake_animation.bl_idname, icon="RENDER_ANIMATION")
             _draw_live(context, layout)
             return
         missing = [item.name for item in state.volumes if item.shown is None or item.shown.name not in scene.objects]
@@ -46,6 +52,7 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
         row.prop(scene, "mrpnn_live_light", toggle=True)
         if not live:
             layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake All").everything = True
+        layout.operator(MRPNN_OT_bake_animation.bl_idname, icon="RENDER_ANIMATION")
         if scene.render.engine == "CYCLES":
             layout.operator(MRPNN_OT_bake_light_fast.bl_idname, icon="PREVIEW_RANGE")
         layout.operator(MRPNN_OT_bake_light_remove.bl_idname, icon="X")

@@ -58,17 +58,13 @@ class BakedScene:
 class BakeTarget:
     """Where light goes.
 
-    folder: of the files, which exists or can be made. keys: by name, of what is baked already and stays. scales: by
-    name, of earlier frames of a sequence, whose files are all divided by one value; extended. names: by name, beginning
-    of a sequence's files; extended. coarse: whether light is baked for a first look, on a coarse lattice and from the
-    camera only; its keys end in COARSE. known: by key, light that is baked already but not shown. cache: of earlier
-    bakes, or None.
+    folder: of the files, which exists or can be made. keys: by name, of what is baked already and stays. coarse:
+    whether light is baked for a first look, on a coarse lattice and from the camera only; its keys end in COARSE.
+    known: by key, light that is baked already but not shown. cache: of earlier bakes, or None.
     """
 
     folder: str
     keys: dict[str, str] = field(default_factory=dict)
-    scales: dict[str, float] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
     coarse: bool = False
     known: dict[str, BakedVolume] = field(default_factory=dict)
     cache: RenderCache | None = None
@@ -117,9 +113,8 @@ def bake_scene(
     for v, one in zip(wanted, lit):
         name, seconds = names[v], one.report.seconds["total"]
         # Blender caches files by path: every bake has names of its own.
-        stem = target.names.setdefault(name, f"{_file_name(name)}-{secrets.token_hex(4)}")
-        scale = target.scales.setdefault(name, brightness(one))
-        path = os.path.join(target.folder, f"{stem}_{scene.frame:04d}.vdb")
+        path = os.path.join(target.folder, f"{file_name(name)}-{secrets.token_hex(4)}_{scene.frame:04d}.vdb")
+        scale = brightness(one)
         write_light(path, one, scale)
         key = keys[v] + COARSE * target.coarse
         baked.append(BakedVolume(name, key, path, scale, _for_material(one.directional)))
@@ -138,7 +133,8 @@ def _emptied(nodes: NodeGrid) -> NodeGrid:
     return replace(nodes, values=nodes.values[:0, :0, :0].copy())
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
+    """The beginning of a volume's files."""
     return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:40] or "volume"
 
 

@@ -73,8 +73,8 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
 
 
 def set_frame(material: "bpy.types.Material", scale: float, directional: DirectionalFactor | None, frame: int) -> None:
-    """Key what a material of `light_material` knows of one frame: camera and suns."""
-    for socket, value in _placed(material, directional):
+    """Key what a material of `light_material` knows of one frame: brightness, camera and suns."""
+    for socket, value in _values(material, scale, directional):
         socket.default_value = value
         socket.keyframe_insert("default_value", frame=frame)
 
@@ -86,15 +86,16 @@ def reuse(material: "bpy.types.Material | None", scale: float, directional: Dire
     """
     if material is None or material.get(SHAPE) != _shape(directional) or material.node_tree.animation_data:
         return False
-    brightness: Any = material.node_tree.nodes[SCALE].outputs[0]
-    brightness.default_value = scale
-    for socket, value in _placed(material, directional):
+    for socket, value in _values(material, scale, directional):
         socket.default_value = value
     return True
 
 
-def _placed(material: "bpy.types.Material", directional: DirectionalFactor | None) -> Iterator[tuple[Any, float]]:
-    """Sockets that hold where light was baked from and where suns are, and their values."""
+def _values(
+    material: "bpy.types.Material", scale: float, directional: DirectionalFactor | None
+) -> Iterator[tuple[Any, float]]:
+    """Sockets that hold how bright the light is, where it was baked from and where suns are, and their values."""
+    yield material.node_tree.nodes[SCALE].outputs[0], scale
     if directional is None:
         return
     view, nodes = directional.view, material.node_tree.nodes
@@ -108,7 +109,7 @@ def _placed(material: "bpy.types.Material", directional: DirectionalFactor | Non
 
 
 def _shape(directional: DirectionalFactor | None) -> str:
-    """What decides which nodes a material has, and all numbers in them but those of `_placed`."""
+    """What decides which nodes a material has, and all numbers in them but those of `_values`."""
     if directional is None:
         return ""
     view, lobe = directional.view, directional.lobe

@@ -145,6 +145,7 @@ def test_objects_come_and_go_with_volumes(live):
     assert not lights()
 
 
+@pytest.mark.slow
 def test_undo_and_redo_name_files_that_are_there(live):
     bpy.ops.ed.undo_push(message="Before")
     settle(live)
@@ -171,6 +172,7 @@ def test_undo_and_redo_name_files_that_are_there(live):
     assert os.path.exists(shown_file())
 
 
+@pytest.mark.slow
 def test_saving_makes_the_light_permanent(live, tmp_path):
     settle(live)
     temporary = shown_file()
@@ -202,6 +204,7 @@ def test_a_folder_that_cannot_be_made_is_told_when_saving(live, tmp_path):
     assert "Cloud" in sentence and "temporary" in sentence
 
 
+@pytest.mark.slow
 def test_rendering_shows_the_light_and_leaves_its_file(live, tmp_path):
     bpy.context.scene.cycles.samples, bpy.context.scene.cycles.volume_bounces = 8, 0
     dark = blender_scenes.rendered(bpy.context.scene, tmp_path)[..., :3].mean()
@@ -213,6 +216,7 @@ def test_rendering_shows_the_light_and_leaves_its_file(live, tmp_path):
     settle(live)
 
 
+@pytest.mark.slow
 def test_two_scenes_have_light_of_their_own(live, tmp_path):
     settle(live)
     first, first_file = bpy.context.scene, shown_file()
