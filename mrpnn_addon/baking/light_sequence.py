@@ -65,6 +65,8 @@ class LightSequence:
 
 
 def _write_index(folder: str, known: dict[str, BakedVolume]) -> None:
+    # Other machines of a farm may have written meanwhile.
+    known = _read_index(folder) | known
     lights = {
         key: {"file": os.path.basename(one.path), "scale": one.scale, "directional": _plain(one.directional)}
         for key, one in known.items()
