@@ -17,11 +17,11 @@ from ..inference import available_models
 from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
 from ..inference.scene.optimizations import ALL, OPTIMIZATIONS, RETIRED
+from ..mrpnn_addon.baking.light_folder import FOLDER
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.runtime.json_file import write_json
 from . import command_actions
-from .bake import FOLDER
 from .command_frames import error_message
 from .console import Console
 

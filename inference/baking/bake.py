@@ -54,7 +54,7 @@ def bake(
     back is baked as a whole, single scattering included. camera: from which light is baked exactly; other directions
     are right through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the
     mean over all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`,
-    `compiled`, `directional` and `optimizations`.
+    `compiled`, `directional`, `most_voxels` and `optimizations`.
 
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
@@ -130,11 +130,8 @@ class _Bake:
         }
 
     def _lattice(self, v: int) -> BakeLattice:
-        volume, settings = self.scene.plan.volumes[v][0], self.context.settings
         self.context.cancel.check()
-        return make_lattice(
-            volume, self.scene.grids[v], self.camera, settings.memory_limit, "small_voxels" in self._switches
-        )
+        return make_lattice(self.scene.plan.volumes[v][0], self.scene.grids[v], self.camera, self.context.settings)
 
     def _visibility(self, v: int) -> Visibility:
         sigma_t = self.scene.plan.volumes[v][1].sigma_t

@@ -27,6 +27,7 @@ class Settings:
     light_paths: whether the light of environments is corrected by some ten thousand light paths, where these can be
         followed.
     directional: whether baked light is right from other directions than the camera's too.
+    most_voxels: along the longest edge of a baked lattice, whose voxels are joined beyond; 0 for as many as there are.
     optimizations: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
@@ -41,10 +42,16 @@ class Settings:
     provider: str = "CPU"
     light_paths: bool = True
     directional: bool = True
+    most_voxels: int = 0
     optimizations: frozenset[str] = ALL
 
     def __post_init__(self) -> None:
-        for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
+        for name, least, most in (
+            ("depth samples", 1, 512),
+            ("threads", 0, 1024),
+            ("seed", 0, 2**63 - 1),
+            ("most voxels", 0, 2**31),
+        ):
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):
                 raise SceneError(f"{name} must be a whole number from {least} to {most}, not {value}")

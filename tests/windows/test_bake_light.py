@@ -84,3 +84,21 @@ def test_eevee_shows_baked_light_and_removal_takes_it_away(lit):
     lit.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.bake_light_remove()")
     assert lit.do(f"print(len({LIGHTS}))") == "0"
     assert compiled(lit, "bake-removed") == pytest.approx(dark, rel=0.02)
+
+
+def test_an_animation_is_baked_while_blender_stays_usable(lit):
+    lit.do(
+        "scene = bpy.context.scene; scene.frame_start, scene.frame_end = 1, 2; scene.frame_set(2)\n"
+        "sun = bpy.data.objects['Sun']\n"
+        "for frame, angle in ((1, 0.9), (2, 1.5)):\n"
+        "    sun.rotation_euler[0] = angle; sun.keyframe_insert('rotation_euler', frame=frame)"
+    )
+    animate = BAKE.replace("bake_light", "bake_animation").replace("everything=True", "directional=False")
+    lit.do(animate)
+    lit.until(f"len({LIGHTS}) == 1 and not {BAKING}")
+    assert lit.do(f"print({LIGHTS}[0].data.is_sequence, scene.frame_current)") == "True 2"
+    # Nothing has changed.
+    lit.do(animate)
+    lit.until(f"not {BAKING}")
+    lit.do("sun.animation_data_clear()")
+    assert "Traceback" not in lit.console
