@@ -54,7 +54,7 @@ def bake(
     back is baked as a whole, single scattering included. camera: from which light is baked exactly; other directions
     are right through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the
     mean over all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`,
-    `compiled`, `directional`, `most_voxels` and `optimizations`.
+    `directional`, `most_voxels` and `optimizations`.
 
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """

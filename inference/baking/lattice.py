@@ -57,14 +57,14 @@ class BakeLattice:
 def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Settings) -> BakeLattice:
     """The voxels of a volume around what is not empty, or larger ones.
 
-    grid: of the volume. settings: of these `memory_limit`, `most_voxels`, and `small_voxels` of `leave_out`, with which
-    voxels much smaller than a pixel of the camera are joined. Raises SceneError where the memory limit does not
+    grid: of the volume. settings: of these `memory_limit`, `most_voxels`, and `small_voxels` of `optimizations`, with
+    which voxels much smaller than a pixel of the camera are joined. Raises SceneError where the memory limit does not
     suffice.
     """
     bounds = [found for found in map(filled_bounds, (volume.density, *volume.emission_channels())) if found is not None]
     low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
     times = 1
-    if camera is not None and "small_voxels" in settings.leave_out:
+    if camera is not None and "small_voxels" in settings.optimizations:
         times = _coarsening(volume, grid, camera)
     if settings.most_voxels:
         times = max(times, int(-(-(high - low).max() // settings.most_voxels)))
