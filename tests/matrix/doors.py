@@ -267,6 +267,71 @@ def bake(shot: Shot) -> None:
         check_baked(shot.package.inference, description)
 
 
+def bake_animation(shot: Shot) -> None:
+    """Bake Animation writes light for each frame that has volumes, and shows it; its removal leaves no trace."""
+    before, scene, folder = state(), shot.scene, shot.folder("light")
+    frames = range(scene.frame_start, scene.frame_end + 1)
+    call = functools.partial(bpy.ops.mrpnn.bake_animation, folder=str(folder), directional=False)
+    if refuses(shot, call):
+        return
+    index = json.loads((folder / "baked_light.json").read_text())
+    assert all((folder / name).exists() for name in map(str, index["lights"])) or index["lights"], index
+    for frame in frames:
+        scene.frame_set(frame)
+        for shown in [shown for shown in bpy.data.objects if "mrpnn_light" in shown and not shown.hide_render]:
+            assert shown.evaluated_get(blender_scenes.depsgraph()).data.grids.load(), f"{shown.name}, frame {frame}"
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert state() == before
+
+
+def live_light(shot: Shot) -> None:
+    """Live Light shows the light of every volume by itself, and follows one that moves; its removal leaves no trace."""
+    before, live, scene = state(), shot.package.mrpnn_addon.baking.live, shot.scene
+    scene.mrpnn_light.directional = False
+    scene.mrpnn_live_light = True
+    try:
+        description = shot.package.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph(), goes_on=True)
+        problem = until_up_to_date(live, scene)
+        if problem:
+            assert REFUSAL in problem and is_dark(shot.row), problem
+            return
+        assert not is_dark(shot.row), "a scene without light is not refused"
+        files = shown_light()
+        assert len(files) == len(description.volumes)
+        for light in [shown for shown in scene.objects if shown.type == "LIGHT"]:
+            light.rotation_euler.x += 0.5
+            light.location.x += 0.1
+        assert not until_up_to_date(live, scene)
+        moved = any(shown.type == "LIGHT" for shown in scene.objects)
+        assert len(shown_light()) == len(files) and (not moved or not files or shown_light() != files)
+    finally:
+        scene.mrpnn_live_light = False
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert state() == before
+
+
+def shown_light() -> list[str]:
+    """Files of the baked light that is shown, which Blender can read."""
+    lights = [shown for shown in bpy.data.objects if "mrpnn_light" in shown]
+    assert all(shown.data.grids.load() for shown in lights)
+    return sorted(shown.data.filepath for shown in lights)
+
+
+def until_up_to_date(live: ModuleType, scene: "bpy.types.Scene") -> str:
+    """Call the timer of Live Light until the light is final; gives its problem, or ""."""
+    end, calm = time.monotonic() + 300.0, 0
+    while calm < 3:
+        assert time.monotonic() < end, live.live_status(scene)
+        bpy.context.view_layer.update()
+        live.tick()
+        status, is_problem = live.live_status(scene)
+        if is_problem:
+            return status
+        calm = calm + 1 if "up to date" in status else 0
+        time.sleep(0.005)
+    return ""
+
+
 def check_baked(inference: ModuleType, description: object) -> None:
     """Without surfaces: what they throw back is baked together with what scatters once."""
     volumes, lights, view = description.volumes, description.lights, description.camera
@@ -369,6 +434,8 @@ DOORS: dict[str, Door] = {
     "render volumes": render_volumes,
     "composite": composite,
     "bake": bake,
+    "bake animation": bake_animation,
+    "live light": live_light,
     "command render": command_render,
     "command bake": command_bake,
     "compare": compare,
