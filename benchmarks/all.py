@@ -33,8 +33,8 @@ SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
 EEVEE = "benchmarks.cycles.baked_eevee"
 #: In the order in which they run: what is short, and then what takes hours.
 COMMANDS = (
-    "benchmarks.demo --figures docs/readme.csv",
-    "benchmarks.cost.imported_smoke --figures docs/readme.csv",
+    "benchmarks.demo --figures docs/tables/readme.csv",
+    "benchmarks.cost.imported_smoke --figures docs/tables/readme.csv",
     "benchmarks.cost.frame --table",
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
@@ -101,7 +101,7 @@ class Stamp(NamedTuple):
 
 def stamps() -> Iterator[Stamp]:
     """Of the tables in README and docs, but for the history of what was."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*.csv"))]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "docs").rglob("*.csv"))]
     for page in pages:
         program, texts = "", re.split(r"\n\s*\n|\n- |\n# ", "" if page.name == "history.md" else page.read_text())
         for text, after in zip(texts, [*texts[1:], ""]):
@@ -168,7 +168,7 @@ def enter(command: str, printed: str, docs: Path) -> None:
     table = "\n".join(line for line in lines if line.startswith("|"))
     program, *arguments = shlex.split(command)
     told = [line for line in lines if line.startswith("Weights ") and f"python -m {program}" in line]
-    for page in docs.glob("*.md"):
+    for page in docs.rglob("*.md"):
         text = page.read_text()
         if table and f"<!-- {command} -->" in text:
             replace(page, with_table(text, command, table, told[-1] if told else made_by(program, arguments)))

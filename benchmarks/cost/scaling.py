@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
+"""How the cost of a render grows, and what error its depth samples leave: makes docs/trust/speed.md's tables.
 
     python -m benchmarks.cost.scaling [--size 256] [--tables threads suns]
 
@@ -26,7 +26,7 @@ from ..support.provenance import made_by
 from .speed import camera_covering, cloud
 
 PROGRAM = "benchmarks.cost.scaling"
-PAGE = ROOT / "docs" / "performance.md"
+PAGE = ROOT / "docs" / "trust" / "speed.md"
 STAGES = ("shadows", "fields", "march", "network")
 SUN = Sun((0.8, 0.45, -0.36))
 COVERAGE = 0.4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a large, mostly empty volume file costs to read and render: makes a table of docs/performance.md.
+"""What a large, mostly empty volume file costs to read and render: makes a table of docs/trust/speed.md.
 
     python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
 
@@ -24,7 +24,7 @@ from ..support.pages import replace, with_table
 from ..support.provenance import made_by
 
 PROGRAM = "benchmarks.cost.sparse"
-PAGE = ROOT / "docs" / "performance.md"
+PAGE = ROOT / "docs" / "trust" / "speed.md"
 # Of the generator's volumes; each of its cells is split into SPLIT per edge.
 SEED, SPLIT = 1_000_000, 4
 # Voxels per edge of the parts in which the cloud is made.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A film of a volume sequence with sky and ground, and how far its frames are from Cycles: makes docs/film.md.
+"""A film of a volume sequence with sky and ground, and how far its frames are from Cycles: makes docs/use/film.md.
 
     python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--frames 11] [--compare 3]
 
@@ -33,7 +33,7 @@ from ..support.shaders import add_shader, add_sky
 
 PROGRAM = "benchmarks.cycles.film"
 PLUME = EXTRA_VOLUMES / "plume"
-PAGE = ROOT / "docs" / "film.md"
+PAGE = ROOT / "docs" / "use" / "film.md"
 STRIP, STRIP_HEIGHT = ROOT / "docs" / "images" / "film.png", 160
 FRAMES_PER_SECOND = 12
 # Half an edge of the ground, its corners and its colour; Cycles' samples for what is no volume.
@@ -204,7 +204,7 @@ def page(found, options) -> str:
         f"over Cycles* {bpy.app.version_string}, with {GROUND_SAMPLES} samples, denoised. Any scene renders as a film",
         "with `blender -b scene.blend -E MRPNN -a`.",
         "",
-        "![Frames of the plume over ground](images/film.png)",
+        "![Frames of the plume over ground](../images/film.png)",
         "",
         f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. The layer of a",
         f"frame, with reading the scene and writing the file, takes {seconds:.1f} processor seconds (median), and the",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes as artists build them, against Cycles: makes docs/scenes.md.
+"""Scenes as artists build them, against Cycles: makes docs/trust/scenes.md.
 
     python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS ...] [--size 64] [--samples 64] [--table]
 
@@ -28,7 +28,7 @@ from ..support.provenance import made_by
 from . import scene_features
 
 PROGRAM = "benchmarks.cycles.scenes"
-PAGE = ROOT / "docs" / "scenes.md"
+PAGE = ROOT / "docs" / "trust" / "scenes.md"
 IMAGES = ROOT / "docs" / "images" / "scenes"
 DEPTH_SAMPLES = 16
 # Samples of single scattering, at most.
@@ -229,7 +229,7 @@ def row(name: str, found: dict | None) -> str:
         f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
         f"| {error_text(*found['whole rmse'])} | {found['whole bias'][0]:+.1%} "
         f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
-        f"| ![](images/scenes/{picture(name).name}) |"
+        f"| ![](../images/scenes/{picture(name).name}) |"
     )
 
 

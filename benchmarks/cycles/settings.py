@@ -4,7 +4,8 @@
     python -m benchmarks.cycles.settings [VIEW ...]
 
 Every row is measured against the view's independent reference. Rows of this version of Cycles replace those that
-docs/cycles-settings.csv holds, and docs/cycles-settings.md is made from all of them: run it with bpy 4.5 and with 5.2.
+docs/tables/cycles-settings.csv holds, and docs/trust/cycles-settings.md is made from all of them: run it with bpy
+4.5 and with 5.2.
 Cycles 5 has two ways through volumes, ray marching and null scattering; the second is the default.
 """
 
@@ -137,7 +138,7 @@ def measure(view: View) -> list[dict]:
 
 
 def page(rows: list[dict], sources: list[str]) -> str:
-    """docs/cycles-settings.md."""
+    """docs/trust/cycles-settings.md."""
     parts = ["# Cycles as artists set it", "\n".join(f"- {source}" for source in sources), INTRODUCTION]
     for view, version in dict.fromkeys((row["view"], row["version"]) for row in rows):
         lines = ["| settings | samples | error | bias | processor seconds |", "|---|---|---|---|---|"]
@@ -169,7 +170,7 @@ def main(arguments: list[str] | None = None) -> int:
     extension()
     import bpy
 
-    file, version = DOCS / "cycles-settings.csv", bpy.app.version_string
+    file, version = DOCS / "tables" / "cycles-settings.csv", bpy.app.version_string
     for view in independent_views():
         if view.name not in options.views:
             continue
@@ -182,7 +183,7 @@ def main(arguments: list[str] | None = None) -> int:
             {source for source in sources if not source.startswith(start)} | {start + made_by(PROGRAM, arguments)}
         )
         replace_file(file, csv_text(sources, COLUMNS, [[row[column] for column in COLUMNS] for row in rows]))
-        replace_file(DOCS / "cycles-settings.md", page(rows, sources))
+        replace_file(DOCS / "trust" / "cycles-settings.md", page(rows, sources))
     return 0
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
+"""Error against run time of MRPNN and Cycles over a set of scenes: makes docs/trust/error-vs-time.md, CSV and plots.
 
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
 
@@ -76,11 +76,11 @@ def main(arguments=None) -> int:
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
-    replace_file(DOCS / "error-vs-time.csv", csv_text(page.sources(known), *page.csv_table(known)))
+    replace_file(DOCS / "tables" / "error-vs-time.csv", csv_text(page.sources(known), *page.csv_table(known)))
     plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
     plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
     plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
-    written = DOCS / "error-vs-time.md"
+    written = DOCS / "trust" / "error-vs-time.md"
     kept = re.search("## Real sizes\n(.*?)\n## ", written.read_text(), re.DOTALL)
     replace_file(written, page.page(known, len(scenes), kept[1].strip() + "\n" if kept else ""))
     return 0

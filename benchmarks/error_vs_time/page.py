@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The page docs/error-vs-time.md from the figures of `benchmarks.error_vs_time`."""
+"""The page docs/trust/error-vs-time.md from the figures of `benchmarks.error_vs_time`."""
 
 import math
 
@@ -131,7 +131,8 @@ def page(results, wanted: int, real_sizes: str = "") -> str:
     parts = [
         "# Error against run time\n",
         *(f"{sentence}\n" for sentence in sources(results)),
-        f"{measured} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
+        f"{measured} of {wanted} scenes measured. Figures by image: "
+        "[error-vs-time.csv](../tables/error-vs-time.csv).\n",
         f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
         f"{results[0]['judged']['samples']} depth samples) and by {versions} in a process of its "
         f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references of the "
@@ -146,16 +147,16 @@ def page(results, wanted: int, real_sizes: str = "") -> str:
         parts += ["## Real sizes\n", real_sizes, "## Many scenes, in small images\n"]
     if main:
         parts += [
-            "![Seconds to the same error](images/error-vs-time-headline.png)\n",
+            "![Seconds to the same error](../images/error-vs-time-headline.png)\n",
             headline(counted(main), results),
-            "![Error against time, a scene a panel](images/error-vs-time.png)\n",
+            "![Error against time, a scene a panel](../images/error-vs-time.png)\n",
             "## Every scene\n",
             scenes(main, model),
         ]
     parts += [
         filtered(results),
         "## How costs grow\n",
-        "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
+        "![Processor seconds by what grows](../images/error-vs-time-growth.png)\n",
         growth(results),
     ]
     return "\n".join(parts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Error against run time at the sizes of real images: a section of docs/error-vs-time.md and docs/real-sizes.csv.
+"""Error against run time at the sizes of real images: docs/tables/real-sizes.csv, and a part of its page.
 
     python -m benchmarks.error_vs_time.real_sizes [--only WORDS] [--most SAMPLES] [--references] [--table]
 
@@ -316,8 +316,8 @@ def write_page() -> None:
     measured = [Measured(scene, halves(scene), images(scene), scene.rows <= FLIP_ROWS) for scene in known]
     files = [file_of(scene, image.method, image.samples) for scene in known for image in images(scene)]
     sources = folded(set(map(source_of, files)))
-    replace_file(DOCS / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
-    page = DOCS / "error-vs-time.md"
+    replace_file(DOCS / "tables" / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
+    page = DOCS / "trust" / "error-vs-time.md"
     paths = "; ".join(f"{scene.name}: {traced(scene)}" for scene in known)
     text = f"{section(measured)}\n\nPaths per pixel in each half of the references: {paths}."
     replace_file(page, with_table(page.read_text(), "real sizes", text, "\n".join(f"- {one}" for one in sources)))

@@ -8,7 +8,7 @@ Views: the independent references in benchmarks/data, whose path tracer shares n
 retraced; held-back procedural volumes; and real volumes, which bpy reads. The references of the last three come from
 the project's own path tracer and are traced once (build/references). Every reference is two independent halves, so that
 its noise does not count as error. Writes fidelity.csv (a row for each view and system), fidelity.md (the tables) and a
-picture for each view: reference, systems, signed errors. --docs writes the tables into docs/fidelity.md and, of
+picture for each view: reference, systems, signed errors. --docs writes the tables into docs/trust/accuracy.md and, of
 independent views, figures and two pictures beside it.
 """
 
@@ -38,14 +38,14 @@ SYSTEMS = ("mrpnn", "mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", "rpnn")
 
 
 def write_docs(out: pathlib.Path, measured, source: str) -> None:
-    """Put the tables into docs/fidelity.md, and of independent views figures and pictures beside it."""
+    """Put the tables into docs/trust/accuracy.md, and of independent views figures and pictures beside it."""
     docs = ROOT / "docs"
-    page, found = (docs / "fidelity.md").read_text(), tables.sections(measured, published_network())
+    page, found = (docs / "trust" / "accuracy.md").read_text(), tables.sections(measured, published_network())
     for views, text in found.items():
         page = with_table(page, f"{views} views", text, source)
-    replace(docs / "fidelity.md", page)
+    replace(docs / "trust" / "accuracy.md", page)
     if "independent" in found:
-        shutil.copyfile(out / "fidelity.csv", docs / "fidelity.csv")
+        shutil.copyfile(out / "fidelity.csv", docs / "tables" / "fidelity.csv")
         for view, name in PICTURES.items():
             shutil.copyfile(out / f"{view}.png", docs / "images" / name)
 

@@ -357,12 +357,12 @@ def main(options=None):
     docs = ROOT / "docs" if arguments.docs else None
     rows = [asdict(one) for measured, _ in found.values() for one in measured]
     figures = csv_text([source], list(rows[0]), [row.values() for row in rows])
-    replace((docs or arguments.out) / "calibration.csv", figures)
+    replace((docs / "tables" if docs else arguments.out) / "calibration.csv", figures)
     plot((docs / "images" if docs else arguments.out) / "reliability.png", found["calibration"][1], found["test"][1])
     independent = independent_table()
     print(independent)
     if docs:
-        page = docs / "fidelity.md"
+        page = docs / "trust" / "accuracy.md"
         written = with_table(page.read_text(), "calibration", text, source)
         replace(page, with_table(written, "calibration of independent views", independent, source))
     else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
+"""The outcomes as a table in docs/trust/stability.md, as CSV, and as one picture."""
 
 import matplotlib
 

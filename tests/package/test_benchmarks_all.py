@@ -14,7 +14,7 @@ def test_every_table_with_a_stamp_is_made_by_one_of_the_commands():
     found = list(stamps())
     assert [stamp for stamp in found if stamp.program not in programs] == []
     # Each page that has figures is among them.
-    assert {"README.md", "scenes.md", "fidelity.md", "performance.md", "stability.md", "film.md"} <= {
+    assert {"README.md", "scenes.md", "accuracy.md", "speed.md", "stability.md", "film.md"} <= {
         stamp.page.name for stamp in found
     }
     assert all(len(commit) >= 7 for stamp in found for commit in stamp.commits)
@@ -27,7 +27,7 @@ def test_every_command_is_a_program_of_the_repository():
 
 
 def test_tables_between_a_commands_marks_are_made_by_that_command():
-    marks = [mark for page in (ROOT / "docs").glob("*.md") for mark in re.findall("<!-- (.*) -->", page.read_text())]
+    marks = [mark for page in (ROOT / "docs").rglob("*.md") for mark in re.findall("<!-- (.*) -->", page.read_text())]
     named = {mark for mark in marks if mark.startswith(("benchmarks.", "training."))}
     assert named and named <= set(COMMANDS + COMMANDS_5)
 

@@ -25,7 +25,7 @@ def named(properties):
 
 def test_every_setting_has_a_row(addon):
     own = addon.mrpnn_addon
-    settings, comparison = page("docs/settings.md"), page("docs/comparison.md")
+    settings, comparison = page("docs/use/settings.md"), page("docs/use/comparison.md")
     wanted = [
         *named(own.settings.properties.MRPNN_PG_scene),
         *named(own.settings.view_layer.MRPNN_PG_view_layer),
@@ -42,7 +42,7 @@ def test_every_setting_has_a_row(addon):
 
 
 def test_every_button_and_panel_is_named(addon):
-    pages = "".join(map(page, ("README.md", "docs/settings.md", "docs/install.md", "docs/baked-light.md")))
+    pages = "".join(map(page, ("README.md", "docs/use/settings.md", "docs/use/install.md", "docs/use/baked-light.md")))
     buttons = [tool.bl_label for tool in addon.operators.CLASSES]
     panels = [
         panel.bl_label for panel in addon.panels.CLASSES if hasattr(panel, "bl_label") and panel.bl_label != "Data"
@@ -51,7 +51,7 @@ def test_every_button_and_panel_is_named(addon):
 
 
 def test_exactly_the_commands_options_are_listed(addon):
-    pages = page("docs/command-line.md") + page("docs/comparison.md")
+    pages = page("docs/use/command-line.md") + page("docs/use/comparison.md")
     parser = addon.operators.command._parser()
     (actions,) = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     options = {
@@ -61,7 +61,7 @@ def test_exactly_the_commands_options_are_listed(addon):
         for name in known.option_strings
         if name.startswith("--")
     } - {"--help"}
-    listed = set(re.findall(r"`(--[a-z-]+)", page("docs/command-line.md"))) - {"--command"}
+    listed = set(re.findall(r"`(--[a-z-]+)", page("docs/use/command-line.md"))) - {"--command"}
     assert options and [name for name in options if f"`{name}" not in pages] == []
     assert listed <= options
 
@@ -83,6 +83,6 @@ def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
     )
     # Literals that go on in the next line are one.
     code = re.sub(r'"\s*\n?\s*f?"', "", code)
-    quoted = re.findall(r'"([^"]+)"', " ".join(re.findall(r"\*\*(.+?)\*\*", page("docs/troubleshooting.md"))))
+    quoted = re.findall(r'"([^"]+)"', " ".join(re.findall(r"\*\*(.+?)\*\*", page("docs/use/troubleshooting.md"))))
     parts = [part.strip() for sentence in quoted for part in sentence.split("…") if part.strip()]
     assert len(parts) > 8 and [part for part in parts if part not in code] == []

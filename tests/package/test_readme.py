@@ -14,7 +14,7 @@ def page(name):
 
 
 def test_fidelity_is_that_of_the_table():
-    ours = [row for row in read_csv(ROOT / "docs" / "fidelity.csv") if row["system"] == "mrpnn"]
+    ours = [row for row in read_csv(ROOT / "docs" / "tables" / "fidelity.csv") if row["system"] == "mrpnn"]
     published = published_network()
     assert len(ours) == len(published) == 12
     stated = re.search(
@@ -31,7 +31,7 @@ def test_fidelity_is_that_of_the_table():
 
 
 def test_ratios_at_real_sizes_are_those_of_the_table():
-    table = (ROOT / "docs" / "error-vs-time.md").read_text()
+    table = (ROOT / "docs" / "trust" / "error-vs-time.md").read_text()
     rows = re.findall(
         r"^\| the quickest of these(, denoised)? \| first frame \| (?:≥ )?([\d. ]+) \(([\d. ]+)–", table, re.MULTILINE
     )
@@ -47,7 +47,7 @@ def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
     """
     rows = re.findall(
         r"^\| (?!plume)([^|]+) \| Cycles [^|]+ \| ([\d.]+) \([^|]+\|[^|]+\|[^|]+\| [^|]+: ([\d.e+]+) / ([\d.e+]+) × \|",
-        (ROOT / "docs" / "error-vs-time.md").read_text(),
+        (ROOT / "docs" / "trust" / "error-vs-time.md").read_text(),
         re.MULTILINE,
     )
     known: dict[str, list[tuple[float, float]]] = {}
@@ -64,7 +64,7 @@ def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
 
 
 def test_figures_of_artists_settings_are_those_of_the_table():
-    rows = read_csv(ROOT / "docs" / "cycles-settings.csv")
+    rows = read_csv(ROOT / "docs" / "tables" / "cycles-settings.csv")
     settings = "Cycles, 12 volume bounces, clamped at 10, denoised"
     cycles = [row for row in rows if row["settings"] == settings and row["samples"] == "128"]
     layer = [row for row in rows if row["settings"] == "MRPNN layer, first frame"]
@@ -81,7 +81,7 @@ def test_figures_of_artists_settings_are_those_of_the_table():
 
 
 def test_demo_and_dense_smoke_are_those_of_the_table():
-    found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "readme.csv")}
+    found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "tables" / "readme.csv")}
     value = {name: float(row["value"]) for name, row in found.items()}
     commit = {name: re.search("commit ([0-9a-f]+)", row["made_by"])[1] for name, row in found.items()}
     text, smoke, cloud = page("README.md"), "smoke, processor seconds", "cloud, processor seconds"

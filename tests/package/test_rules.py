@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rules of Blender's platform for extensions that the source shows; CONTRIBUTING.md lists all."""
+"""Rules of Blender's platform for extensions that the source shows; docs/contribute/publishing.md lists all."""
 
 import ast
 import re
