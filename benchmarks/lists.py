@@ -102,8 +102,8 @@ LISTS: dict[str, dict[str, Callable[[ModuleType], str]]] = {
     "docs/use/settings.md": {
         "buttons": _buttons,
         "settings": _settings,
-        "preferences": _preferences,
     },
+    "docs/use/preferences.md": {"preferences": _preferences},
     "docs/use/command-line.md": {"options": _options},
 }
 

@@ -29,7 +29,7 @@ from inference.image import predicted_error
 from inference.image.predicted_error import SHOWN_ALPHA
 
 from ..support.data import ROOT
-from ..support.pages import csv_text, replace, with_table
+from ..support.pages import csv_text, replace, write_tables
 from ..support.provenance import made_by, weights_checksum
 from .drawn_views import (
     CALIBRATION_SEEDS,
@@ -362,9 +362,8 @@ def main(options=None):
     independent = independent_table()
     print(independent)
     if docs:
-        page = docs / "trust" / "accuracy.md"
-        written = with_table(page.read_text(), "calibration", text, source)
-        replace(page, with_table(written, "calibration of independent views", independent, source))
+        write_tables("stated-error", text, [source])
+        write_tables("stated-error-independent", independent, [source])
     else:
         (arguments.out / "calibration.md").write_text(f"{text}\n\n{independent}\n\n{source}\n")
 

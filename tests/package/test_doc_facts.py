@@ -68,7 +68,7 @@ FACTS = [
         ("REACH", "MAX_OPTICAL_DEPTH"),
     ),
     (
-        "docs/trust/speed.md",
+        "docs/understand/optimizations.md",
         r"rays end at an optical depth of (\d+), for single scattering alone of (\d+)",
         "inference.marching.ray_march",
         ("REACH", "MAX_OPTICAL_DEPTH"),
@@ -86,7 +86,7 @@ FACTS = [
         ("MIN_ALPHA",),
     ),
     (
-        "docs/trust/speed.md",
+        "docs/understand/optimizations.md",
         r"all of rays of alpha below (\S+) ",
         "inference.marching.depth_samples",
         ("MIN_ALPHA",),
@@ -351,7 +351,7 @@ FACTS = [
     ("docs/trust/stability.md", r"irradiance above (\S+);", "inference.scene.description", ("MAX_IRRADIANCE",)),
     ("docs/trust/stability.md", r"take more than (\S+) steps", "inference.image.camera_pass", ("MAX_STEPS",)),
     (
-        "docs/use/settings.md",
+        "docs/use/preferences.md",
         r"(\d+) random points are evaluated .{0,120} differs by more than (\d+ %)",
         "inference.network.provider",
         ("TRIAL_POINTS", "TOLERANCE"),
@@ -366,12 +366,17 @@ ADDON_FACTS = [
         ("MAX_VOXELS", "MAX_SPAN"),
     ),
     (
-        "docs/trust/speed.md",
+        "docs/understand/optimizations.md",
         r"up to (\S+) voxels, of which blocks with (\S+) hold something",
         "vdb.density_grid",
         ("MAX_SPAN", "MAX_VOXELS"),
     ),
-    ("docs/trust/speed.md", r"Grids of more than (\S+) voxels keep only blocks", "vdb.density_grid", ("DENSE_SPAN",)),
+    (
+        "docs/understand/optimizations.md",
+        r"Grids of more than (\S+) voxels keep only blocks",
+        "vdb.density_grid",
+        ("DENSE_SPAN",),
+    ),
     (
         "docs/use/settings.md",
         r"\*Preview\*: (\d+) depth sample.{0,120} \*Draft\*: (\d+) depth samples.{0,80} \*Final\*: (\d+) depth samples",
@@ -379,7 +384,7 @@ ADDON_FACTS = [
         ("PRESETS['PREVIEW']", "PRESETS['DRAFT']", "PRESETS['FINAL']"),
     ),
     (
-        "docs/use/settings.md",
+        "docs/use/world.md",
         r"samples, or (\d+) where neighbouring pixels differ",
         "scene.film",
         ("SAMPLES",),

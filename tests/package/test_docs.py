@@ -17,6 +17,10 @@ def page(name):
     return " ".join((ROOT / name).read_text().split())
 
 
+def pages_of(part):
+    return " ".join(page(path) for path in sorted((ROOT / "docs" / part).glob("*.md")))
+
+
 def named(properties):
     """UI names of a class's own properties."""
     keywords = [getattr(made, "keywords", {}) for made in properties.__annotations__.values()]
@@ -25,7 +29,7 @@ def named(properties):
 
 def test_every_setting_has_a_row(addon):
     own = addon.mrpnn_addon
-    settings, comparison = page("docs/use/settings.md"), page("docs/use/comparison.md")
+    settings, comparison = pages_of("use"), page("docs/use/comparison.md")
     wanted = [
         *named(own.settings.properties.MRPNN_PG_scene),
         *named(own.settings.view_layer.MRPNN_PG_view_layer),
@@ -42,7 +46,7 @@ def test_every_setting_has_a_row(addon):
 
 
 def test_every_button_and_panel_is_named(addon):
-    pages = "".join(map(page, ("README.md", "docs/use/settings.md", "docs/use/install.md", "docs/use/baked-light.md")))
+    pages = page("README.md") + pages_of("use")
     buttons = [tool.bl_label for tool in addon.operators.CLASSES]
     panels = [
         panel.bl_label for panel in addon.panels.CLASSES if hasattr(panel, "bl_label") and panel.bl_label != "Data"
