@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The docs name every setting, option and button as Blender shows it."""
+"""The docs name every setting, option and button as Blender shows it, in pages and sentences that are short."""
 
 import argparse
 import re
@@ -25,6 +25,82 @@ def named(properties):
     """UI names of a class's own properties."""
     keywords = [getattr(made, "keywords", {}) for made in properties.__annotations__.values()]
     return [named["name"] for named in keywords if "name" in named]
+
+
+# Words of a page of use or trust, of a sentence of README, docs/use and the interface, and of any other.
+PAGE_WORDS, SHORT, LONGEST = 900, 25, 35
+
+
+def prose(text):
+    """Paragraphs, headings and list items of a page, without code, tables, pictures and targets of links."""
+    text = re.sub(r"(?ms)^```.*?^```$|^\$\$.*?\$\$$|<!--.*?-->", "\n\n", text)
+    text = re.sub(r"(?m)^(?: {4,}(?![-*\d]).*|\s*\|.*)$", "", text)
+    text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", text)
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    text = re.sub(r"`[^`]*`|\$[^$\n]+\$", "code", text)
+    return [" ".join(part.split()) for part in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=#)|(?<=#)\n", text)]
+
+
+def words(text):
+    return [word for word in text.split() if re.search(r"\w", word)]
+
+
+def too_long(text, most):
+    """Sentences of more than so many words. A quoted message is one word."""
+    found = []
+    for paragraph in prose(text):
+        paragraph = re.sub(r'"[^"]*"|“[^”]*”', "quote", paragraph)
+        found += [part for part in re.split(r"(?<=[.:;?!])[)*\"]*\s", paragraph) if len(words(part)) > most]
+    return found
+
+
+def checked_pages():
+    """Pages with the number of words that a sentence may have."""
+    inner = [*(ROOT / "docs").rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
+    pages = {str(path.relative_to(ROOT)): LONGEST for path in inner}
+    return {
+        name: SHORT if name.startswith("docs/use/") else most for name, most in {"README.md": SHORT, **pages}.items()
+    }
+
+
+@pytest.mark.parametrize("name, most", checked_pages().items())
+def test_sentences_are_short(name, most):
+    assert too_long((ROOT / name).read_text(), most) == []
+
+
+@pytest.mark.parametrize("part", ["use", "trust"])
+def test_pages_are_short(part):
+    counts = {}
+    for path in (ROOT / "docs" / part).glob("*.md"):
+        text = re.sub(r"!\[[^\]]*\]\([^)]*\)|<!--.*?-->", "", path.read_text())
+        counts[path.name] = len(words(re.sub(r"\]\([^)]*\)", "]", text)))
+    assert counts and {name: count for name, count in counts.items() if count > PAGE_WORDS} == {}
+
+
+def test_sentences_of_the_interface_are_short(addon):
+    texts = {}
+    for cls in everything(addon):
+        texts[f"{cls.__name__}"] = getattr(cls, "bl_description", "") or (cls.__doc__ or "")
+        for name, made in getattr(cls, "__annotations__", {}).items():
+            keywords = getattr(made, "keywords", {})
+            texts[f"{cls.__name__}.{name}"] = keywords.get("description", "")
+            items = keywords.get("items", ())
+            for item in items if isinstance(items, (list, tuple)) else ():
+                texts[f"{cls.__name__}.{name}: {item[0]}"] = item[2]
+    assert len(texts) > 30
+    found = {name: too_long(text, SHORT) for name, text in texts.items() if isinstance(text, str)}
+    assert {name: sentences for name, sentences in found.items() if sentences} == {}
+
+
+def everything(addon):
+    """Classes with texts that Blender shows: operators and groups of properties."""
+    own = addon.mrpnn_addon.settings
+    return [
+        *addon.operators.CLASSES,
+        own.properties.MRPNN_PG_scene,
+        own.view_layer.MRPNN_PG_view_layer,
+        own.preferences.PreferenceProperties,
+    ]
 
 
 def test_every_setting_has_a_row(addon):
