@@ -2,6 +2,7 @@
 """The docs name every setting, option and button as Blender shows it, in pages and sentences that are short."""
 
 import argparse
+import ast
 import re
 
 import pytest
@@ -90,6 +91,29 @@ def test_sentences_of_the_interface_are_short(addon):
     assert len(texts) > 30
     found = {name: too_long(text, SHORT) for name, text in texts.items() if isinstance(text, str)}
     assert {name: sentences for name, sentences in found.items() if sentences} == {}
+
+
+@pytest.mark.parametrize("folder", ["inference", "mrpnn_addon", "operators", "panels"])
+def test_sentences_of_messages_are_short(folder):
+    found = {}
+    for path in (ROOT / folder).rglob("*.py"):
+        for line, text in literals(ast.parse(path.read_text())):
+            if sentences := too_long(text, SHORT):
+                found[f"{path.relative_to(ROOT)}:{line}"] = sentences
+    assert found == {}
+
+
+def literals(tree):
+    """Line and text of each string of a module but docstrings; a value in an f-string is one word."""
+    nodes = list(ast.walk(tree))
+    skipped = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    skipped |= {id(value) for node in nodes if isinstance(node, ast.JoinedStr) for value in node.values}
+    for node in nodes:
+        if isinstance(node, ast.JoinedStr):
+            parts = [part.value if isinstance(part, ast.Constant) else "value" for part in node.values]
+            yield node.lineno, "".join(parts)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in skipped:
+            yield node.lineno, node.value
 
 
 def everything(addon):
