@@ -14,8 +14,8 @@ from collections.abc import Callable
 import numpy as np
 import onnxruntime
 
+from inference.models.weights_file import WEIGHTS
 from inference.network.provider import _session
-from inference.network.weights_file import WEIGHTS
 from inference.onnx.session import Session
 
 from ..support.provenance import made_by

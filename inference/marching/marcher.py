@@ -19,7 +19,7 @@ from ..numerics.quadrature import legendre_nodes
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import Cancelled
 from ..scene.description import Medium
-from ..transport.described_lamps import describe_emitter, describe_shadow_map
+from ..source_terms.described_lamps import describe_emitter, describe_shadow_map
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..environments.environment_light import Skies, image_in_frame, ordinate_radiance
 from ..features.final_gather import shadowed_depth, unit_sun_depth
 from ..grids.lamp_optical_depth import DIRECTIONS, RADII
 from ..grids.sphere_depth import start_depths
@@ -18,11 +19,10 @@ from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun
 from ..scene.environment import Environment
-from ..transport.cell_sources import EnteringLight, LampBeam, SunBeam
+from ..source_terms.cell_sources import EnteringLight, LampBeam, SunBeam
+from ..source_terms.lamp_beam import CubeCells, LampInCube, directions_to
+from ..source_terms.nearby_light import NearbyMedium, nearby_light
 from ..transport.discrete_ordinates import DiscreteOrdinates
-from ..transport.environment_light import Skies, image_in_frame, ordinate_radiance
-from ..transport.lamp_beam import CubeCells, LampInCube, directions_to
-from ..transport.nearby_light import NearbyMedium, nearby_light
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
 from .lamp_nearby import LampAtPoints, LampNearby, SoftStart, transport_share
@@ -55,8 +55,8 @@ class PlacedSun:
     @cached_property
     def shadow_map(self) -> ShadowMap | None:
         """As of PredictedLight."""
-        found = self.occluders.shadow_map(self.sun)
-        return found and found.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
+        world_map = self.occluders.shadow_map(self.sun)
+        return world_map and world_map.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
 
     def source(self, cells: int) -> SunBeam:
         """As of PlacedLight."""

@@ -16,7 +16,7 @@ from .uncertainty import Predicted, UncertaintyNetwork, deviations
 
 @dataclass(frozen=True)
 class PreparedRays:
-    """A `stencil_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`.
+    """A `ray_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`.
 
     source: the light. light: what of it has scattered, over `scale`. gather: of its unscattered light, over `most`.
     ahead: distance along camera rays at which its direction is taken: a forward phase function scatters into a ray what
@@ -79,8 +79,3 @@ class PreparedRays:
             "anisotropy": np.full(gamma.shape, self.anisotropy, np.float32),
             "gamma": gamma,
         }
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size

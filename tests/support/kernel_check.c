@@ -142,7 +142,7 @@ static void check_pyramid(int64_t variant) {
     uint16_t packed[8];
     Refinement grid = {.values = fine, .shape = {4, 4, 4}, .below = {below, below, below}, .fraction = {fraction, fraction, fraction}};
     LatticePart part = {.shape = {2, 2, 2}, .density = grid, .density_scale = 0.1, .density_step = 1e-4,
-                        .packed = packed, .columns = 1, .scratch = scratch};
+                        .packed = packed, .scratch = scratch};
     prepare("mrpnn_fill_lattice", variant, &part);
     expect("fill_lattice", variant, packed[0], log(1.0 + 0.1 * 10.5) / 1e-4, 1.0);
     expect("fill_lattice", variant, packed[7], log(1.0 + 0.1 * 47.25) / 1e-4, 1.0);

@@ -24,11 +24,11 @@ from inference.network.network import load_network
 from inference.network.placed_lights import PlacedSun
 from inference.network.predictor import VolumePredictor
 from training import evaluate, export, memory, train
-from training.data.seeded_volume import seeded_volume
 from training.data.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
-from training.data.volumes import make_volume
 from training.networks import RayMRPNN
 from training.onnx_graph import linear_layers
+from training.procedural.seeded_volume import seeded_volume
+from training.procedural.volumes import make_volume
 
 # They make volumes and trace paths in them.
 pytestmark = pytest.mark.slow
@@ -376,7 +376,7 @@ def test_training_inputs_equal_those_of_rendering():
         x, w = cube.positions(position), cube.directions(omega)
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
             predictor = VolumePredictor(loaded, volume, rows["anisotropy"][row])
-            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube), predictor.bounds(position)).prediction
+            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube)).prediction
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
             assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
-from training.data.noise import CELLS, TILE, Fractal, curl_tile
-from training.data.shapes import BOX, TORUS, ball_union, constructive_solid
-from training.data.solids import SOLIDS
-from training.data.volume_kinds import KINDS
-from training.data.volumes import (
+from training.procedural.noise import CELLS, TILE, Fractal, curl_tile
+from training.procedural.shapes import BOX, TORUS, ball_union, constructive_solid
+from training.procedural.solids import SOLIDS
+from training.procedural.volume_kinds import KINDS
+from training.procedural.volumes import (
     HELD_BACK,
     HELD_BACK_SATURATED,
     HELD_BACK_SOLIDS,

@@ -5,7 +5,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from inference.network.weights_file import WEIGHTS
+from inference.models.weights_file import WEIGHTS
 from inference.onnx.model_file import MalformedFile, read_model
 from inference.onnx.operators import CACHED, NEW_MEMORY, OPERATORS
 from inference.onnx.products import Layer
