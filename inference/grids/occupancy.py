@@ -47,6 +47,7 @@ class Occupancy:
             bounds = np.moveaxis(np.maximum(bounds, np.concatenate([bounds[1:], np.zeros_like(bounds[:1])])), 0, axis)
         return np.ascontiguousarray(bounds, np.float32)
 
+    @functools.cached_property
     def support(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of
         their faces along each axis. At most MOST_CELLS along each axis.

@@ -399,6 +399,8 @@ def lattice_bounds(
     if "unread_fields" not in context.settings.leave_out:
         return np.full(3, -0.5), np.full(3, 0.5)
     inside = [(samples, np.flatnonzero(samples.share(members))) for samples in view]
+    # Instances share lattices of the whole.
+    inside = [] if predictor.has_instances else inside
     bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
     if not bounds:
         return predictor.extent()

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
+# Significant digits to which conditions in instances of a volume have to agree to be the same.
+SAME = 10
 #: Of the whole working cube.
 ANYWHERE: Bounds = (np.full(3, -0.5), np.full(3, 0.5))
 
@@ -30,6 +32,10 @@ class PlacedLight(Protocol):
     @property
     def key(self) -> Hashable:
         """Equal for lights that are alike."""
+
+    @property
+    def cube(self) -> Cube:
+        """The working cube."""
 
     @property
     def any_thickness(self) -> bool:
@@ -87,6 +93,12 @@ class NearLight(Protocol):
         """Unscattered light at world positions (N, 3); depth: optical (N,), of ray features."""
 
 
+
+def alike(*values: float) -> tuple[float, ...]:
+    """Numbers rounded to SAME digits, so that they are equal for instances of one volume."""
+    return tuple(float(f"{value:.{SAME}g}") for value in values)
+
+
 AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)
 
 
@@ -109,14 +121,18 @@ class Conditions(Generic[AnyLight]):
 
     @property
     def bounds_key(self) -> tuple[float, ...]:
-        """Equal for conditions with equal lattices of the density."""
-        low, high = self.bounds
-        return (self.sigma_hat, *low, *high)
+        """Equal for conditions with equal lattices of the density, in any instance of a volume."""
+        return alike(self.sigma_hat, *self.bounds[0], *self.bounds[1])
 
     @property
     def key(self) -> Hashable:
-        """Equal for conditions with equal light in the coarse transport."""
-        return self.sigma_hat, self.light.key, self.occluders, self.albedo
+        """Equal for conditions with equal light in the coarse transport, in any instance of a volume."""
+        return alike(self.sigma_hat), self.light.key, self.surfaces_key, self.albedo
+
+    @property
+    def surfaces_key(self) -> tuple[bytes, ...]:
+        """Equal for conditions with equal surfaces, in any instance of a volume."""
+        return (self.occluders,) if self.triangles is None else (self.occluders, self.light.cube.key)
 
 
 #: Of a light that the network for suns predicts.

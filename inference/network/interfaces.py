@@ -89,6 +89,10 @@ class Predictor(Protocol):
         """
         return None
 
+    def at(self, cube: Cube) -> "Predictor":
+        """The same for another instance of the volume, whose working cube lies alike in its voxels."""
+        return self
+
 
 class PreparedPrediction(Protocol):
     """Predictions under certain conditions. Immutable and safe on several threads."""

@@ -24,7 +24,7 @@ from ..transport.environment_light import Skies, image_in_frame, ordinate_radian
 from ..transport.lamp_beam import CubeCells, LampInCube, directions_to
 from ..transport.nearby_light import NearbyMedium, nearby_light
 from ..transport.scattered_fluence import FluenceLattice
-from .conditions import Bounds
+from .conditions import SAME, Bounds
 from .lamp_nearby import LampAtPoints, LampNearby, SoftStart, transport_share
 
 # Sample points along an edge of a cell of the coarse transport for the visibility of the sun.
@@ -45,7 +45,10 @@ class PlacedSun:
     @property
     def key(self) -> Hashable:
         """As of PlacedLight."""
-        return *self.sun.direction, self.sun.screen_key
+        direction = tuple(np.round(self.direction, SAME) + 0.0)
+        if self.shadow_map is None and not self.sun.screen_key:
+            return direction
+        return direction, self.sun.screen_key, self.cube.key
 
     @cached_property
     def direction(self) -> np.ndarray:
@@ -102,7 +105,7 @@ class PlacedLamp:
     @property
     def key(self) -> Hashable:
         """As of PlacedLight."""
-        return self.lamp.key, self.radius
+        return self.lamp.key, self.radius, self.cube.key
 
     @cached_property
     def beam(self) -> LampInCube:

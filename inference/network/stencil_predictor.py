@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How networks of kinds "stencil" and "ray" read a volume."""
 
+import copy
 import functools
 import threading
+import weakref
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +44,7 @@ from ..transport.scattered_fluence import (
     moment_lattice,
 )
 from ..transport.varying_albedo import CoarseAlbedo
-from .conditions import Bounds, Conditions, LitConditions, PlacedLight, RayPoints
+from .conditions import SAME, Bounds, Conditions, LitConditions, PlacedLight, RayPoints, alike
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PointNetwork, Predictor, PreparedPrediction
@@ -50,7 +52,7 @@ from .lamp_nearby import MIN_ALBEDO, LampNearby
 from .placed_lights import PlacedSkies
 from .prepared_rays import PreparedRays
 
-# Fluence lattices, of lights and optical thicknesses, that are cached per volume.
+# Fluence lattices, of lights and optical thicknesses, that are cached per instance.
 MAX_LATTICES = 128
 
 
@@ -82,6 +84,12 @@ class StencilPredictor(Predictor):
     def _read_pyramid(self) -> None:
         """Compute what depends on the volume alone."""
         self.phase = PhaseFeatures(self.network.points, self.anisotropy)
+
+    def at(self, cube: Cube) -> "StencilPredictor":
+        """As of Predictor."""
+        found = copy.copy(self)
+        found.cube = cube
+        return found
 
     @staticmethod
     def read_points(values: np.ndarray) -> Stencil:
@@ -149,6 +157,27 @@ class _Solved:
         )
 
 
+@dataclass(frozen=True)
+class _SolvedEnvironment:
+    """`solve_environment` of some skies. key: of what it was solved for."""
+
+    key: Hashable
+    lattices: tuple[np.ndarray, np.ndarray]
+
+
+class _Instances:
+    """What the instances of a volume share: what they read, and of each light what any of them still uses."""
+
+    def __init__(self) -> None:
+        self.lattices: tuple[tuple[float, ...], Lattices] | None = None
+        self.transport: tuple[Hashable, DiscreteOrdinates] | None = None
+        self.depths: OpenDepths | None = None
+        self.albedo: CoarseAlbedo | None = None
+        self.solved: weakref.WeakValueDictionary[Hashable, _Solved] = weakref.WeakValueDictionary()
+        self.environments: weakref.WeakValueDictionary[Hashable, _SolvedEnvironment] = weakref.WeakValueDictionary()
+        self.prepared: weakref.WeakValueDictionary[Hashable, PreparedRays] = weakref.WeakValueDictionary()
+
+
 class RayPredictor(StencilPredictor):
     """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
 
@@ -167,21 +196,34 @@ class RayPredictor(StencilPredictor):
         self.coarse, self.fine = (
             np.ascontiguousarray(inner_cells(self.padded[m], m, self.network.points)) for m in (LEVEL, GATHER_LEVEL)
         )
-        self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
+        self._shared = _Instances()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Hold nothing of any light."""
         self._solved: dict[Hashable, _Solved] = {}
-        self._depths: OpenDepths | None = None
-        self._environment: tuple[Hashable, tuple[np.ndarray, np.ndarray]] | None = None
-        self._albedo: CoarseAlbedo | None = None
+        self._environment: _SolvedEnvironment | None = None
         self._places: dict[Hashable, np.ndarray] = {}
+
+    def at(self, cube: Cube) -> "RayPredictor":
+        """As of Predictor."""
+        found = copy.copy(self)
+        found.cube = cube
+        found._forget()
+        return found
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedRays:
         """What predicts under these conditions. Raises Cancelled."""
         light, sigma_hat = conditions.light, conditions.sigma_hat
+        key = conditions.key, conditions.bounds_key
         with tasks.cancel.locked(self._lock):
+            known = self._shared.prepared.get(key)
             lattices = self._density_lattices(conditions, tasks)
             solved = self._solve(conditions, tasks.cancel)
+        if known is not None:
+            return known
         depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), tasks.cancel)
-        return PreparedRays(
+        prepared = PreparedRays(
             network=self.network,
             lookup=FieldLookup(self.network.points, lattices, light.direction),
             source=light,
@@ -192,6 +234,8 @@ class RayPredictor(StencilPredictor):
             scale=solved.scale,
             most=most,
         )
+        self._shared.prepared[key] = prepared
+        return prepared
 
     def prepare_environment(
         self,
@@ -206,20 +250,26 @@ class RayPredictor(StencilPredictor):
         """
         skies = conditions.light.skies
         ordinates = ordinate_radiance(skies.image)
-        key = conditions.sigma_hat, ordinates.tobytes(), skies.weights
+        brightest = max(float(ordinates.max(initial=0.0)), 1e-30)
+        key: Hashable = alike(conditions.sigma_hat, brightest), np.round(ordinates / brightest, SAME).tobytes()
+        key = key, skies.weights, self.cube.key if skies.vary else b""
         with tasks.cancel.locked(self._lock):
             lattices = self._density_lattices(conditions, tasks)
-            if self._depths is None:
+            shared = self._shared
+            if shared.depths is None:
                 levels = [inner_cells(self.padded[m], m, self.network.points) for m in (0, 1)]
                 lattice = direction_depths(self.coarse, tasks.cancel)
-                self._depths = OpenDepths(levels, lattice)
-            if self._environment is None or self._environment[0] != key:
+                shared.depths = OpenDepths(levels, lattice)
+            if self._environment is None or self._environment.key != key:
+                # Released before another is solved for.
                 self._environment = None
+                self._environment = shared.environments.get(key)
+            if self._environment is None:
                 solved = solve_environment(self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel)
                 if skies.vary:
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
-                self._environment = key, solved
-            depths, (light, absorbed) = self._depths, self._environment[1]
+                self._environment = shared.environments[key] = _SolvedEnvironment(key, solved)
+            depths, (light, absorbed) = shared.depths, self._environment.lattices
         lookup = FieldLookup(self.network.points, lattices, conditions.light.direction)
         return PreparedEnvironment(
             network=network,
@@ -239,8 +289,9 @@ class RayPredictor(StencilPredictor):
 
     def _density_lattices(self, conditions: Conditions[PlacedLight], tasks: AnyTasks) -> Lattices:
         """Lattices of the density, which serve every light."""
-        if self._lattices is None or self._lattices[0] != conditions.bounds_key:
-            self._lattices = None
+        shared = self._shared
+        if shared.lattices is None or shared.lattices[0] != conditions.bounds_key:
+            shared.lattices = None
             lattices = build_lattices(
                 self.padded,
                 conditions.sigma_hat,
@@ -248,8 +299,8 @@ class RayPredictor(StencilPredictor):
                 bounds=conditions.bounds,
                 mapper=tasks.each,
             )
-            self._lattices = conditions.bounds_key, lattices
-        return self._lattices[1]
+            shared.lattices = conditions.bounds_key, lattices
+        return shared.lattices[1]
 
     def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence:
         """Scattered light of several lights for lookups along camera rays. Raises Cancelled."""
@@ -289,9 +340,9 @@ class RayPredictor(StencilPredictor):
         """The albedo of a volume in which it varies, and its `CoarseAlbedo.places` in a light. Raises Cancelled."""
         cancel, key = tasks.cancel, conditions.key
         with cancel.locked(self._lock):
-            if self._albedo is None:
-                self._albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel)
-            known = self._albedo
+            if self._shared.albedo is None:
+                self._shared.albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel)
+            known = self._shared.albedo
             if key not in self._places:
                 if len(self._places) >= MAX_LATTICES:
                     self._places.clear()
@@ -305,10 +356,8 @@ class RayPredictor(StencilPredictor):
     def _solve(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
         """The transport of a light, solved once."""
         key, light = conditions.key, conditions.light
-        found = self._solved.get(key)
+        found = self._solved.get(key) or self._shared.solved.get(key)
         if found is None:
-            if len(self._solved) >= MAX_LATTICES:
-                self._solved.clear()
             if conditions.albedo is None:
                 solver = self._solver(conditions)
                 cells = solver.solve(light.source(CELLS), cancel)
@@ -321,15 +370,20 @@ class RayPredictor(StencilPredictor):
             scale = light.scale(cells[0])
             cells /= np.float32(scale)
             lattice = fluence_lattice if conditions.albedo is None else moment_lattice
-            found = self._solved[key] = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
+            found = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
+            self._shared.solved[key] = found
+        if key not in self._solved:
+            if len(self._solved) >= MAX_LATTICES:
+                self._solved.clear()
+            self._solved[key] = found
         return found
 
     def _solver(self, conditions: LitConditions) -> DiscreteOrdinates:
         """Solver of the transport; all lights of a render share their optical thickness and occluders."""
-        key = conditions.sigma_hat, conditions.occluders
-        if self._transport is None or self._transport[0] != key:
-            self._transport = key, self._new_solver(conditions)
-        return self._transport[1]
+        key, shared = (alike(conditions.sigma_hat), conditions.surfaces_key), self._shared
+        if shared.transport is None or shared.transport[0] != key:
+            shared.transport = key, self._new_solver(conditions)
+        return shared.transport[1]
 
     def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
         """Solver of the transport without surfaces, on cells twice as large."""

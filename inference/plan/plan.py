@@ -204,7 +204,7 @@ def emits(volume: Volume, medium: Medium) -> bool:
 
 def attenuates(volume: Volume, medium: Medium) -> bool:
     """Whether a volume absorbs or scatters light."""
-    return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
+    return bool(np.any(medium.sigma_t > 0.0) and volume.peak > 0.0)
 
 
 def make_tiles(window: tuple[int, int, int, int], bands: int) -> list[tuple[int, int, int, int]]:
@@ -258,7 +258,7 @@ def sort_scene(
             planned.append(f"{volume.name}: emission")
         elif not np.any(medium.sigma_t > 0.0):
             left_out.append(f"{volume.name}: its extinction is 0")
-        elif not volume.density.max() > 0.0:
+        elif not volume.peak > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     names = [volume.name for volume, _ in rendered]
     names += [surface.name for surface in surfaces if surface.reflectance.any()]

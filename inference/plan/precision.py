@@ -32,7 +32,7 @@ def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
         voxels = float(np.prod([n + 3.0 for n in density.shape]))
     if voxels > MAX_VOXELS:
         raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
-    sigma_t, peak = medium.sigma_t, float(density.max())
+    sigma_t, peak = medium.sigma_t, volume.peak
     volume, medium = _bound_albedo(volume, medium)
     density = volume.density
     if peak == 0.0:
