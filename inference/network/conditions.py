@@ -93,7 +93,6 @@ class NearLight(Protocol):
         """Unscattered light at world positions (N, 3); depth: optical (N,), of ray features."""
 
 
-
 def alike(*values: float) -> tuple[float, ...]:
     """Numbers rounded to SAME digits, so that they are equal for instances of one volume."""
     return tuple(float(f"{value:.{SAME}g}") for value in values)

@@ -34,17 +34,16 @@ from .lights import (
     without_lamps,
 )
 from .memory import (
-    ENVIRONMENT_BYTES,
-    FIELD_BYTES,
     IMAGE_BYTES,
     MERGED_BYTES,
     SKY_BYTES,
-    grid_bytes,
+    field_bytes,
+    grids_bytes,
     lamp_bytes,
     ray_bytes,
 )
 from .overlap import overlapping
-from .precision import in_range
+from .precision import Rescaled, in_range
 from .resolution import BAND
 
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
@@ -251,7 +250,8 @@ def sort_scene(
         raise SceneError("there is no volume to render")
     planned: list[str] = []
     left_out: list[str] = []
-    volumes = [in_range(volume, medium) for volume, medium in volumes]
+    known: Rescaled = {}
+    volumes = [in_range(volume, medium, known) for volume, medium in volumes]
     rendered = [pair for pair in volumes if attenuates(*pair) or emits(*pair)]
     for volume, medium in volumes:
         if emits(volume, medium):
@@ -348,9 +348,10 @@ def plan_tiles(
     Raises SceneError if the memory limit is too small.
     """
     rendered = scene.volumes
-    memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), suns) for volume, medium in rendered)
+    memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns)
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
-    memory += lights.from_everywhere * len(scene.groups) * ENVIRONMENT_BYTES
+    groups = [[rendered[v][0] for v in group] for group in scene.groups]
+    memory += field_bytes(groups, len(suns) + len(lights.lamps), lights.from_everywhere)
     # Light of surfaces is one more sky beside others.
     different = lights.skies + bool(lights.reflects and lights.environments)
     memory += different * SKY_BYTES if different > 1 else 0
