@@ -170,7 +170,8 @@ def _tiles(
 
     def march(window: Window) -> tuple[Tile, DepthSamples | None]:
         tile = Tile.of(camera, window, shown)
-        return tile, march_tile(context, scene, channel_pass, tile)
+        groups = _groups_in(scene, window)
+        return tile, march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
 
     def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
         if samples is not None:
@@ -192,6 +193,14 @@ def _tiles(
     sources = _sources(context, scene, channel_pass, ())
     context.progress.message("single and multiple scattering")
     return tasks.map(lambda window: predict(*march(window)), windows)
+
+
+def _groups_in(scene: PreparedScene, window: Window) -> list[int]:
+    """Groups of volumes that a part of the image shows, or that shadow these."""
+    if len(scene.plan.groups) == 1 or "missed_pixels" not in scene.plan.optimizations:
+        return list(range(len(scene.plan.groups)))
+    volumes = set(scene.seen(window).tolist())
+    return [g for g, members in enumerate(scene.plan.groups) if not volumes.isdisjoint(members)]
 
 
 def _sources(
@@ -229,7 +238,19 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     if first and scene.lamps:
         lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
     march = Marcher(media, options, channels.indices, context.tasks.stopping, lamps)
-    return ChannelPass(channels, suns, first, media, march, lamps is not None, options.scattering, near, detail)
+    return ChannelPass(
+        channels=channels,
+        suns=suns,
+        first=first,
+        media=media,
+        march=march,
+        lamps=lamps is not None,
+        scattering=options.scattering,
+        near=near,
+        most_detail=detail,
+        groups=range(len(scene.groups)),
+        volumes=range(len(media)),
+    )
 
 
 def prepare_scene(

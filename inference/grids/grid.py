@@ -16,7 +16,7 @@ from ..scene.errors import SceneError
 from ..scene.sparse_grid import SparseGrid
 from .bounds import filled_bounds
 from .dense_grid import DenseGrid, refined
-from .occupancy import Occupancy
+from .occupancy import LEAST_CELLS, MOST_CELLS, Occupancy
 from .sun_optical_depth import SunOpticalDepth
 
 
@@ -110,12 +110,11 @@ class Grid:
         )
         return product(ends - self.offset, inverse(self.linear).T)
 
-    @property
-    def support(self) -> tuple[np.ndarray, np.ndarray]:
+    def support(self, detail: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Cells outside of which density and emission are 0, bool (x, y, z), and the world positions
-        (x + 1, y + 1, z + 1, 3) of their corners.
+        (x + 1, y + 1, z + 1, 3) of their corners. detail: fraction of the cells along an edge that are told apart.
         """
-        cells, faces = self.occupancy.support
+        cells, faces = self.occupancy.support(max(round(detail * MOST_CELLS), LEAST_CELLS))
         corners = np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
         return cells, product(corners - self.offset, inverse(self.linear).T)
 

@@ -117,13 +117,14 @@ class Plan(SceneLights):
         """Volume and Medium of each volume in a group."""
         return [self.volumes[v] for v in self.groups[group]]
 
-    def linking(self, lights: Sequence[Sun | Lamp]) -> np.ndarray:
-        """Whether lights light each volume, 0 or 1: float64 (V, L)."""
-        return linking(lights, [volume.name for volume, _ in self.volumes])
+    def linking(self, lights: Sequence[Sun | Lamp], volumes: Sequence[int] | None = None) -> np.ndarray:
+        """Whether lights light each of some volumes, by number, or of all: 0 or 1, float64 (V, L)."""
+        numbers = range(len(self.volumes)) if volumes is None else volumes
+        return linking(lights, [self.volumes[v][0].name for v in numbers])
 
     def lights_group(self, light: Sun | Lamp, group: int) -> bool:
         """Whether a light lights any volume of a group."""
-        return bool(self.linking([light])[self.groups[group]].any())
+        return bool(self.linking([light], self.groups[group]).any())
 
     def linking_warnings(self) -> list[str]:
         """Names lights that are linked to a part of volumes that overlap."""
