@@ -317,7 +317,8 @@ def _shadow_map(shadow_map: ShadowMap) -> structures.Shared:
 
 def _fluences(fluences: Sequence[ScatteredFluence | None]) -> list[structures.Shared]:
     # Instances share lights.
-    single = {id(light): np.ascontiguousarray(light, np.float32) for one in fluences if one for light in one.lights}
+    lights = {id(light): light for one in fluences if one for light in one.lights}
+    single = {key: np.ascontiguousarray(light, np.float32) for key, light in lights.items()}
     return [_fluence(one, [single[id(light)] for light in one.lights] if one else []) for one in fluences]
 
 

@@ -29,9 +29,8 @@ from ..grids.working_cube import Cube
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
-from ..transport.blurred_environment import blurred
 from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
-from ..transport.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
+from ..transport.environment_light import ordinate_radiance, reaching, solve_environment
 from ..transport.lamp_beam import CubeCells
 from ..transport.mean_free_path import mean_free_path
 from ..transport.nearby_light import NearbyMedium
@@ -280,8 +279,8 @@ class RayPredictor(StencilPredictor):
             depths=depths,
             light=light,
             absorbed=absorbed,
-            radiance=direction_radiance(skies.image).astype(np.float32),
-            blurred=blurred(skies.image, blurs(self.anisotropy)),
+            radiance=skies.radiance,
+            blurred=skies.blurred(blurs(self.anisotropy)),
             sigma_hat=conditions.sigma_hat,
             thickness=thickness,
             anisotropy=self.anisotropy,

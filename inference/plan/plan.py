@@ -134,7 +134,7 @@ class Plan(SceneLights):
             "as if it lit all of them"
             for light in lights
             for g, members in enumerate(self.groups)
-            if len(set(self.linking([light])[members, 0])) > 1
+            if len(members) > 1 and len(set(self.linking([light], members)[:, 0])) > 1
         ]
 
     def group_name(self, group: int) -> str:
