@@ -5,7 +5,8 @@ import copy
 import functools
 import threading
 import weakref
-from collections.abc import Hashable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +54,8 @@ from .prepared_rays import PreparedRays
 
 # Fluence lattices, of lights and optical thicknesses, that are cached per instance.
 MAX_LATTICES = 128
+# Lights in instances whose final gathering is kept at a time; more than threads.
+MAX_GATHERS = 24
 
 
 class StencilPredictor(Predictor):
@@ -150,10 +153,11 @@ class _Solved:
 
     @functools.cached_property
     def light(self) -> np.ndarray:
-        """Fluence and flux, float16 (64, 64, 64, 4)."""
-        return (
+        """Fluence and flux, float32 (64, 64, 64, 4), of half precision. Whoever reads them shares this array."""
+        found = (
             fluence_and_flux(self.cells) if self.for_networks else self.cells[1:-1, 1:-1, 1:-1, :4].astype(np.float16)
         )
+        return np.ascontiguousarray(found, np.float32)
 
 
 @dataclass(frozen=True)
@@ -175,6 +179,25 @@ class _Instances:
         self.solved: weakref.WeakValueDictionary[Hashable, _Solved] = weakref.WeakValueDictionary()
         self.environments: weakref.WeakValueDictionary[Hashable, _SolvedEnvironment] = weakref.WeakValueDictionary()
         self.prepared: weakref.WeakValueDictionary[Hashable, PreparedRays] = weakref.WeakValueDictionary()
+        # Whether there are several.
+        self.many = False
+        self._gathers: OrderedDict[Hashable, FinalGather] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def gathers(self, key: Hashable, make: Callable[[], tuple[FinalGather, float]]) -> FinalGather:
+        """What `make` makes, of which the last are kept: of each sun in each instance they would take much memory."""
+        with self._lock:
+            found = self._gathers.pop(key, None)
+        found = make()[0] if found is None else found
+        with self._lock:
+            self._gathers[key] = found
+            while len(self._gathers) > MAX_GATHERS:
+                self._gathers.popitem(last=False)
+        return found
+
+
+def _same(held: FinalGather) -> FinalGather:
+    return held
 
 
 class RayPredictor(StencilPredictor):
@@ -209,6 +232,7 @@ class RayPredictor(StencilPredictor):
         found = copy.copy(self)
         found.cube = cube
         found._forget()
+        self._shared.many = True
         return found
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedRays:
@@ -221,13 +245,21 @@ class RayPredictor(StencilPredictor):
             solved = self._solve(conditions, tasks.cancel)
         if known is not None:
             return known
-        depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), tasks.cancel)
+
+        def gather(cancel: CancelToken = NEVER) -> tuple[FinalGather, float]:
+            depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), cancel)
+            return FinalGather.of(self.fine, depth, solved.light, (sigma_hat, self.anisotropy)), most
+
+        most, gathers = 1.0, functools.partial(self._shared.gathers, key, gather)
+        if light.near is not None or not self._shared.many:
+            held, most = gather(tasks.cancel)
+            gathers = functools.partial(_same, held)
         prepared = PreparedRays(
             network=self.network,
             lookup=FieldLookup(self.network.points, lattices, light.direction),
             source=light,
             light=FluenceLattice(solved.cells),
-            gather=FinalGather.of(self.fine, depth, solved.light, (sigma_hat, self.anisotropy)),
+            gather=gathers,
             anisotropy=self.anisotropy,
             ahead=self.anisotropy * mean_free_path(self.coarse, sigma_hat),
             scale=solved.scale,

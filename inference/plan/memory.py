@@ -17,7 +17,7 @@ LAMP_EDGE = 384
 # Bytes of the lookup lattices and the coarse transport of the first volume, whatever its resolution.
 FIELD_BYTES = 42 * LEVEL0_CELLS**3
 # Bytes of what every further volume keeps of these, and of each light in it. Instances share them.
-FURTHER_BYTES, LIGHT_BYTES = 8 * LEVEL0_CELLS**3, 3 * LEVEL0_CELLS**3
+FURTHER_BYTES, LIGHT_BYTES = 8 * LEVEL0_CELLS**3, LEVEL0_CELLS**3
 # Bytes of the lattices of environments' light in one volume, while they are solved for.
 ENVIRONMENT_BYTES = 8 * LEVEL0_CELLS**3
 # Bytes of those of each sky that the environments have in places, until these are joined.
