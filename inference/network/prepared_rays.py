@@ -20,8 +20,8 @@ class PreparedRays:
     """A `stencil_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`.
 
     source: the light. light: what of it has scattered, over `scale`. gather: gives what gathers its unscattered light,
-    over `most`. ahead: distance along camera rays at which its direction is taken: a forward phase function scatters into a ray what
-    arrives from ahead.
+    over `most`. ahead: distance along camera rays at which its direction is taken: a forward phase function scatters
+    into a ray what arrives from ahead.
     """
 
     network: PointNetwork
