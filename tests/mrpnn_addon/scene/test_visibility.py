@@ -108,6 +108,7 @@ def test_the_visibility_of_an_instancer_is_that_of_its_instances(addon, scene, t
 
 @pytest.mark.parametrize("how", ["collection", "vertices", "particles", "nodes", "linked"])
 def test_instances_arrive_as_one_array(addon, scene, tmp_path, how):
+    blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene, ortho_scale=3.0)
     fog, host = instanced(scene, "collection" if how == "linked" else how)
     if how == "linked":
