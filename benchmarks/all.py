@@ -38,6 +38,7 @@ COMMANDS = (
     "benchmarks.cost.frame --table",
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
+    "benchmarks.cost.built_in",
     "benchmarks.cost.environments --rounds 3",
     "benchmarks.cost.lamps --rounds 5 --sizes 64x64 --only 'four suns' 'four point lights' 'twelve spots of a stage'"
     " 'thirty lamps of a street' 'thirty-six panels of a ceiling'",

@@ -83,7 +83,7 @@ def _options(addon: ModuleType) -> str:
     known: dict[tuple[str, str], list[str]] = {}
     for command, options in commands.choices.items():
         for option in options._actions:
-            if "--help" in option.option_strings:
+            if "--help" in option.option_strings or option.help == argparse.SUPPRESS:
                 continue
             metavar = option.metavar or (f"{{{','.join(map(str, option.choices))}}}" if option.choices else "")
             value = f" {metavar or option.dest.upper()}" if option.nargs != 0 else ""

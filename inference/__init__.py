@@ -7,7 +7,9 @@ layer = render([(volume, medium)], [sun], camera, Settings())
 from .baking.bake import bake
 from .baking.lit_volume import LitVolume
 from .image.layer import Layer
-from .network.network import available_models
+from .network.network import available_models, register_kind
+from .network.ray_predictor import RAY
+from .paper import register_paper
 from .predict_multiple import predict_multiple
 from .render import render, render_tiles
 from .render_cache import RenderCache
@@ -28,6 +30,10 @@ from .scene import (
     Volume,
     soft_sun,
 )
+
+# The kinds of networks that weights files may state.
+register_kind("ray", RAY)
+register_paper()
 
 __all__ = [
     "AreaLight",

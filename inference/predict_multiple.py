@@ -4,7 +4,7 @@
 import numpy as np
 
 from .image.context import RenderContext
-from .plan.lights import LAMP_MODELS
+from .models.abilities import abilities
 from .points.group_radiance import GroupRadiance
 from .render import prepare_scene
 from .render_cache import RenderCache
@@ -40,7 +40,7 @@ def predict_multiple(
     result = np.zeros((len(positions), 3), np.float32)
     if not len(positions):
         return result
-    if Families.of([light]).lamps and model not in LAMP_MODELS:
+    if Families.of([light]).lamps and not abilities(model).every_light:
         raise SceneError(f"{light.name}: the network {model} knows suns alone")
     settings, report = Settings(model=model, threads=1), Report()
     with Tasks(settings.threads) as tasks:

@@ -17,13 +17,12 @@ from .image.environment_correction import correct_environments
 from .image.framebuffer import Framebuffer, Window
 from .image.lamp_pass import lamps_nearby, prepare_lamp_march
 from .image.layer import Layer, compose_layer
-from .image.predicted_error import error_is_known, expected_error
+from .image.predicted_error import expected_error
 from .image.reflected_light import open_volume, surface_light
 from .image.scattered_light import add_scattered_light
-from .image.sources import Source, prepare_sources, solve_transport
+from .image.sources import prepare_sources, solve_transport
 from .image.work_estimate import WorkEstimate
 from .kernels.library import load_kernels
-from .marching.depth_samples import DepthSamples
 from .marching.extended_lights import ExtendedLights
 from .marching.lamp_in_media import LampInMedia, enclosed_warnings
 from .marching.marcher import Marcher
@@ -106,8 +105,8 @@ def _finished_parts(
     report = Report()
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):
-            if cache is None or "unchanged" not in settings.leave_out:
-                cache = RenderCache(any_view=False)
+            if cache is None or "unchanged" not in settings.optimizations:
+                cache = RenderCache()
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
             scene = prepare_scene(context, volumes, lights, camera, surfaces)
@@ -126,7 +125,8 @@ def _finished_parts(
 
     def compose() -> Layer:
         layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), camera.exposure, report)
-        if error_is_known(report.model):
+        network = scene.network
+        if scene.uncertainty_network or (network and network.deviation is not None):
             report.expected_error = expected_error(layer)
         return layer
 
@@ -139,16 +139,15 @@ def _render_passes(
     """Render into the framebuffer; yield the window of each finished tile, and what composes its Layer."""
     if not scene.plan.volumes:
         return
-    passes = [(channels, suns) for channels in scene.plan.channels for suns in _suns_of_passes(scene)]
-    work = WorkEstimate(context, scene, len(passes))
-    for number, (channels, suns) in enumerate(passes):
-        channel_pass = _channel_pass(context, scene, channels, suns)
+    work, last = WorkEstimate(context, scene), scene.plan.channels[-1]
+    for channels in scene.plan.channels:
+        channel_pass = _channel_pass(context, scene, channels)
         work.survey(channel_pass)
         for tile in _tiles(context, scene, channel_pass, framebuffer):
             window = tile.camera.window
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
-            if number == len(passes) - 1:
+            if channels is last:
                 yield window, functools.partial(_compose_part, framebuffer, scene.camera, window)
 
 
@@ -168,12 +167,10 @@ def _tiles(
 
     camera, shown = scene.camera, scene.shown
 
-    def march(window: Window) -> tuple[Tile, DepthSamples | None]:
+    def shade(window: Window) -> Tile:
         tile = Tile.of(camera, window, shown)
-        groups = _groups_in(scene, window)
-        return tile, march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
-
-    def predict(tile: Tile, samples: DepthSamples | None) -> Tile:
+        groups = scene.groups_in(window)
+        samples = march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
         if samples is not None:
             add_scattered_light(context, sources, tile, samples)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
@@ -183,68 +180,34 @@ def _tiles(
     (left, top, *_), tasks = camera.window, context.tasks
     pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.plan.tiles]
     windows = [scene.plan.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
-    if scene.plan.small and not context.cache.any_view:
-        context.progress.message("single scattering")
-        marched = list(tasks.map(march, windows))
-        view = [samples for _, samples in marched if samples is not None]
-        sources = _sources(context, scene, channel_pass, view)
-        context.progress.message("multiple scattering")
-        return tasks.map(lambda one: predict(*one), marched)
-    sources = _sources(context, scene, channel_pass, ())
+    # The light of environments is corrected by light paths.
+    sources = prepare_sources(context, scene, channel_pass)
+    sources = correct_environments(context, scene, channel_pass, sources)
     context.progress.message("single and multiple scattering")
-    return tasks.map(lambda window: predict(*march(window)), windows)
+    return tasks.map(shade, windows)
 
 
-def _groups_in(scene: PreparedScene, window: Window) -> list[int]:
-    """Groups of volumes that a part of the image shows, or that shadow these."""
-    if len(scene.plan.groups) == 1 or "missed_pixels" not in scene.plan.optimizations:
-        return list(range(len(scene.plan.groups)))
-    volumes = set(scene.seen(window).tolist())
-    return [g for g, members in enumerate(scene.plan.groups) if not volumes.isdisjoint(members)]
-
-
-def _sources(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
-) -> list[Source]:
-    """As `prepare_sources`, the light of environments corrected by light paths."""
-    sources = prepare_sources(context, scene, channel_pass, view)
-    return correct_environments(context, scene, channel_pass, sources)
-
-
-def _suns_of_passes(scene: PreparedScene) -> list[list[int]]:
-    """Numbers of the suns that are rendered together: all of them, unless each takes lookup lattices of its own."""
-    suns = list(range(len(scene.plan.suns)))
-    alone = scene.network is not None and not scene.network.needs_ray_features and len(suns) > 1
-    return [[sun] for sun in suns] if alone else [suns]
-
-
-def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channels, suns: list[int]) -> ChannelPass:
-    """Some colour channels and suns, ready to be marched."""
-    fluence = solve_transport(context, scene, channels, suns)
-    settings, media, shadow_maps = context.settings, scene.media(channels, suns), scene.occluders.shadow_maps
-    first = suns[:1] in ([], [0])
-    near = lamps_nearby(scene, channels) if first and scene.lamps and settings.multiple else []
+def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channels) -> ChannelPass:
+    """Some colour channels, ready to be marched."""
+    fluence = solve_transport(context, scene, channels)
+    settings, media = context.settings, scene.media(channels)
+    near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
     options = MarchOptions(
         settings.depth_samples,
         fluence,
-        None if shadow_maps is None else [shadow_maps[l] for l in suns],
+        scene.occluders.shadow_maps,
         scene.plan.groups,
-        settings.leave_out,
+        settings.optimizations,
         scattering=scattering_channels(media, channels.indices),
         most_detail=detail,
     )
-    lamps = None
-    if first and scene.lamps:
-        lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
+    lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
     march = Marcher(media, options, channels.indices, context.tasks.stopping, lamps)
     return ChannelPass(
         channels=channels,
-        suns=suns,
-        first=first,
         media=media,
         march=march,
-        lamps=lamps is not None,
         scattering=options.scattering,
         near=near,
         most_detail=detail,
@@ -278,7 +241,7 @@ def prepare_scene(
         occluders, lit = NO_OCCLUDERS, list(range(len(placed.suns)))
         if grids:
             corners = np.concatenate([grid.corners() for grid in grids])
-            drop_dark = "needless_suns" in settings.leave_out
+            drop_dark = "needless_suns" in settings.optimizations
             occluders, lit = find_occluders(surfaces, placed.suns, corners, drop_dark, cancel)
     plan = decide(scene=asked, lights=placed, lit=lit, camera=camera, settings=settings)
     report.warnings += plan.linking_warnings()

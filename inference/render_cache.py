@@ -43,12 +43,10 @@ class RenderCache:
 
     Never out of date, as long as the arrays of rendered volumes are not modified in place. Safe to share between
     renders on several threads. Holds every network that was asked for, and the rest as of the last render, until it is
-    dropped. Every method raises Cancelled. any_view: whether lookup lattices cover the whole of a volume, so that they
-    serve other views too, rather than the part that one view shows.
+    dropped. Every method raises Cancelled.
     """
 
-    def __init__(self, any_view: bool = True):
-        self.any_view = any_view
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._networks: dict[Hashable, Any] = {}
         self._grids: list[tuple[Volume, Grid]] = []

@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..mrpnn_addon.baking import baked_scene
+from ..mrpnn_addon.baking import baked_scene, live
 from ..mrpnn_addon.engine import engine
 from ..mrpnn_addon.output import composite as composite_scene
 from ..mrpnn_addon.runtime import shutdown
@@ -14,7 +14,18 @@ from . import bake, check, command, compare, composite, documentation, render
 
 # Registered in this order and removed in the opposite one: settings first, the command line last. `shutdown` ends all
 # threads before anything is removed that they might use.
-MODULES = (properties, view_layer, changes, file_watch, engine, composite_scene, baked_scene, calibration, shutdown)
+MODULES = (
+    properties,
+    view_layer,
+    changes,
+    file_watch,
+    engine,
+    composite_scene,
+    baked_scene,
+    live,
+    calibration,
+    shutdown,
+)
 CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *bake.classes, *documentation.classes)
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that bake predicted scattering into light for Cycles and EEVEE, and remove it again."""
 
-import os
+import math
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -9,28 +10,30 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..inference.scene import SceneError, Settings
-from ..mrpnn_addon.baking.bake_job import BakeJob, BakeTarget, bake_scene
-from ..mrpnn_addon.baking.baked_scene import baked_keys, chooses_ray_marching, light_state, remove_light, show_light
+from ..mrpnn_addon.baking.bake_job import BakedScene, BakeJob, BakeTarget, bake_scene
+from ..mrpnn_addon.baking.baked_scene import (
+    baked_keys,
+    chooses_ray_marching,
+    light_state,
+    remove_light,
+    show_light,
+    show_sequence,
+)
 from ..mrpnn_addon.baking.fast_settings import set_fast
+from ..mrpnn_addon.baking.light_folder import FOLDER, light_folder
+from ..mrpnn_addon.baking.light_sequence import LightSequence
 from ..mrpnn_addon.objects.visibility import visible_objects
 from ..mrpnn_addon.runtime.background import Worker
-from ..mrpnn_addon.runtime.text import percent, report, status_bar
+from ..mrpnn_addon.runtime.text import report
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
+from .modal_job import RunsWorkers
 from .waiting import SceneLoading
 
-TICK_INTERVAL = 0.1
-FOLDER = "//baked_light"
 
-
-class MRPNN_OT_bake_light(bpy.types.Operator):
-    """Predict the light that volumes scatter more than once and show it in Cycles and EEVEE, which add the rest; only
-    volumes that have changed are baked. Esc stops"""
-
-    bl_idname = "mrpnn.bake_light"
-    bl_label = "Bake Light"
-    bl_options = {"REGISTER", "UNDO"}
+class _LightProperties:
+    """What a bake is asked for."""
 
     folder: StringProperty(
         name="Folder",
@@ -45,42 +48,44 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         description="Also bake how the light differs from other directions than the camera's: for mirrors, glass, and "
         "cameras that move",
     )
+
+
+class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
+    """Predict the light that volumes scatter more than once and show it in Cycles and EEVEE, which add the rest; only
+    volumes that have changed are baked. Esc stops"""
+
+    bl_idname = "mrpnn.bake_light"
+    bl_label = "Bake Light"
+    bl_options = {"REGISTER", "UNDO"}
+    work, doing = "bake", "baking"
+
     everything: BoolProperty(
         name="Bake All", default=False, options={"SKIP_SAVE"}, description="Also volumes that have not changed"
     )
 
-    _job: Worker | None = None
-    _loading = None
-    _timer = None
+    _loading: SceneLoading | None = None
 
     def execute(self, context: "bpy.types.Context") -> set[str]:
         """Bake while Blender waits."""
         try:
-            description = read_frame(context.evaluated_depsgraph_get())
-            baked = bake_scene(description, self._settings(context), self._target(context.scene))
+            self._description = read_frame(context.evaluated_depsgraph_get())
+            self._baked = bake_scene(self._description, self._settings(context), self._target(context.scene))
         except (SceneError, OSError) as error:
-            return self._fail(error)
-        return self._deliver(context, description, baked)
+            return self.fail(error)
+        return self.finish(context)
 
     def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         """Bake on a worker thread; Blender stays usable."""
-        if bpy.app.background:
-            return self.execute(context)
-        if MRPNN_OT_bake_light._job is not None:
-            report(self, "WARNING", "MRPNN is baking already; Esc stops it")
-            return {"CANCELLED"}
-        try:
-            MRPNN_OT_bake_light._job = self._next(context)
-        except SceneError as error:
-            return self._fail(error)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(TICK_INTERVAL, window=context.window)
-        manager.progress_begin(0, 100)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.execute(context) if bpy.app.background else self.begin(context)
 
-    def _next(self, context: "bpy.types.Context") -> Worker:
-        """The next worker: one that reads the scene's volumes, then one that bakes. Neither needs bpy."""
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
+        return self.go_on(context, event)
+
+    def next_worker(self, context: "bpy.types.Context", done: Any) -> Worker | None:
+        """One that reads the scene's volumes, then one that bakes. Neither needs bpy."""
+        if done is not None and self._loading is None:
+            self._baked = done.result
+            return None
         if self._loading is None or self._loading.outdated(context):
             self._loading = SceneLoading(context)
             if self._loading.worker is not None:
@@ -89,81 +94,133 @@ class MRPNN_OT_bake_light(bpy.types.Operator):
         self._loading = None
         return BakeJob(self._description, self._settings(context), self._target(context.scene))
 
-    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
-        job: Any = MRPNN_OT_bake_light._job
-        if event.type == "ESC":
-            job.stop()
-            return {"RUNNING_MODAL"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        context.window_manager.progress_update(int(100 * job.fraction))
-        status_bar(context, f"MRPNN {percent(job.fraction)}  {job.message}  (Esc stops)")
-        if not job.done:
-            return {"PASS_THROUGH"}
-        if self._loading is not None and job.error is None and not job.stopped:
-            try:
-                MRPNN_OT_bake_light._job = self._next(context)
-                return {"PASS_THROUGH"}
-            except SceneError as error:
-                self._end(context)
-                return self._fail(error)
-        self._end(context)
-        # Esc may come too late for the worker to notice it.
-        if job.stopped:
-            report(self, "INFO", "MRPNN bake stopped")
-            return {"CANCELLED"}
-        if isinstance(job.error, (SceneError, OSError)):
-            return self._fail(job.error)
-        if job.error is not None:
-            raise job.error
-        return self._deliver(context, self._description, job.result)
-
-    def cancel(self, context: "bpy.types.Context") -> None:
-        """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
-        job = MRPNN_OT_bake_light._job
-        job.stop()
-        job.wait()
-        self._end(context)
-
-    def _end(self, context: "bpy.types.Context") -> None:
-        MRPNN_OT_bake_light._job = None
-        context.window_manager.event_timer_remove(self._timer)
-        context.window_manager.progress_end()
-        status_bar(context, None)
-
     def _settings(self, context: "bpy.types.Context") -> Settings:
         return replace(scene_settings(context.scene).settings(), directional=self.directional)
 
     def _target(self, scene: "bpy.types.Scene") -> BakeTarget:
         return BakeTarget(light_folder(self.folder), {} if self.everything else baked_keys(scene))
 
-    def _fail(self, error: Exception) -> set[str]:
-        report(self, "ERROR", error)
-        return {"CANCELLED"}
-
-    def _deliver(self, context: "bpy.types.Context", description: SceneDescription, baked: Any) -> set[str]:
+    def finish(self, context: "bpy.types.Context") -> set[str]:
+        """Show the light."""
+        baked = self._baked
         show_light(context.scene, baked)
-        for warning in baked.warnings + bake_warnings(description):
+        for warning in baked.warnings + bake_warnings(self._description):
             report(self, "WARNING", warning)
-        if not bpy.data.filepath and self.folder.startswith("//"):
-            report(
-                self,
-                "WARNING",
-                "the .blend file is not saved: the light is in a temporary folder, gone when Blender ends",
-            )
+        warn_of_temporary(self, self.folder)
         if not baked.names:
             report(self, "INFO", f"frame {baked.frame} shows no volume, so there is no light to bake")
         elif not baked.volumes:
             report(self, "INFO", "the light of every volume is up to date")
         else:
-            report(
-                self,
-                "INFO",
-                f"baked the light of {_count(baked.volumes)} in {baked.seconds:.1f} s; volume bounces are 0 now"
-                f"{' and volumes biased (ray marching)' if chooses_ray_marching(context.scene) else ''}, for the whole "
-                "scene",
-            )
+            what = f"baked the light of {_count(baked.volumes)} in {baked.seconds:.1f} s"
+            report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
         return {"FINISHED"}
+
+
+class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator):
+    """Bake the light of every frame from Start to End, for Cycles and EEVEE. Frames that have not changed are not
+    baked again. Esc stops; the next bake goes on from there"""
+
+    bl_idname = "mrpnn.bake_animation"
+    bl_label = "Bake Animation"
+    bl_options = {"REGISTER", "UNDO"}
+    work, doing = "bake", "baking"
+
+    _loading: SceneLoading | None = None
+    _sequence: LightSequence
+    # Seconds of the frames that had to be baked, and when the present one began.
+    _seconds: list
+    _began = 0.0
+
+    def execute(self, context: "bpy.types.Context") -> set[str]:
+        """Bake while Blender waits."""
+        try:
+            self._prepare(context.scene)
+            for frame in self._frames:
+                context.scene.frame_set(frame)
+                description = read_frame(context.evaluated_depsgraph_get(), goes_on=True)
+                self._take(bake_scene(description, self._settings, self._sequence.target))
+        except (SceneError, OSError) as error:
+            return self.fail(error)
+        return self.finish(context)
+
+    def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
+        """Bake on worker threads; Blender stays usable."""
+        if bpy.app.background:
+            return self.execute(context)
+        try:
+            self._prepare(context.scene)
+        except SceneError as error:
+            return self.fail(error)
+        return self.begin(context)
+
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
+        return self.go_on(context, event)
+
+    def next_worker(self, context: "bpy.types.Context", done: Any) -> Worker | None:
+        """For each frame one that reads its volumes and one that bakes."""
+        if done is not None and self._loading is None:
+            self._take(done.result)
+        if len(self._sequence.frames) == len(self._frames):
+            return None
+        if self._loading is None or self._loading.outdated(context):
+            # The artist may have gone to another frame meanwhile.
+            context.scene.frame_set(self._frames[len(self._sequence.frames)])
+            self._loading = SceneLoading(context)
+            if self._loading.worker is not None:
+                return self._loading.worker
+        description = read_frame(context.evaluated_depsgraph_get(), self._loading.reader, goes_on=True)
+        self._loading = None
+        return BakeJob(description, self._settings, self._sequence.target)
+
+    def progress(self, worker: Worker) -> tuple[float, str]:
+        """Of all frames, with the time that those which are left take about."""
+        done, count = len(self._sequence.frames), len(self._frames)
+        fraction = worker.fraction if self._loading is None else 0.0
+        text = f"frame {self._frames[min(done, count - 1)]}, {done} of {count} done"
+        if self._seconds:
+            left = max(count - done - fraction, 0.0) * sum(self._seconds) / len(self._seconds)
+            text += f", about {math.ceil(left / 60)} min left" if left > 90 else f", about {math.ceil(left)} s left"
+        return (done + fraction) / count, text
+
+    def finish(self, context: "bpy.types.Context") -> set[str]:
+        """Show the light."""
+        frames = self._sequence.frames
+        context.scene.frame_set(self._frame)
+        if any(one.volumes for one in frames):
+            show_sequence(context.scene, frames)
+        for warning in dict.fromkeys(warning for one in frames for warning in one.warnings):
+            report(self, "WARNING", warning)
+        warn_of_temporary(self, self.folder)
+        what = f"baked the light of {len(self._seconds)} of {len(frames)} frames; the others have not changed"
+        if len(self._seconds) == len(frames):
+            what = f"baked the light of {len(frames)} frames"
+        report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
+        return {"FINISHED"}
+
+    def fail(self, error: Exception) -> set[str]:
+        """Report the error; what is baked stays for the next bake."""
+        bpy.context.scene.frame_set(self._frame)
+        return super().fail(error)
+
+    def stopped(self, context: "bpy.types.Context") -> None:
+        """Go back to the frame before."""
+        context.scene.frame_set(self._frame)
+
+    def _prepare(self, scene: "bpy.types.Scene") -> None:
+        self._frame, self._seconds, self._began = scene.frame_current, [], time.perf_counter()
+        # It would bake each frame once more, and show that alone.
+        switched: Any = scene
+        switched.mrpnn_live_light = False
+        self._frames = light_frames(list(range(scene.frame_start, scene.frame_end + 1)))
+        self._settings = replace(scene_settings(scene).settings(), directional=self.directional)
+        self._sequence = LightSequence(light_folder(self.folder))
+
+    def _take(self, baked: BakedScene) -> None:
+        self._sequence.add(baked)
+        if baked.seconds:
+            self._seconds.append(time.perf_counter() - self._began)
+        self._began = time.perf_counter()
 
 
 class MRPNN_OT_bake_light_remove(bpy.types.Operator):
@@ -179,6 +236,8 @@ class MRPNN_OT_bake_light_remove(bpy.types.Operator):
 
     def execute(self, context: "bpy.types.Context") -> set[str]:
         remove_light(context.scene)
+        scene: Any = context.scene
+        scene.mrpnn_live_light = False
         return {"FINISHED"}
 
 
@@ -212,15 +271,31 @@ def is_sun(shown_object: "bpy.types.Object") -> bool:
     return light.type == "SUN"
 
 
+def changed_settings(scene: "bpy.types.Scene") -> str:
+    """What a bake has changed in the settings of the scene."""
+    marching = " and volumes biased (ray marching)" if chooses_ray_marching(scene) else ""
+    return f"volume bounces are 0 now{marching}, for the whole scene"
+
+
+def light_frames(frames: list[int]) -> list[int]:
+    """Frames of light, sorted. Raises SceneError where files cannot number them."""
+    frames = sorted(frames)
+    if not frames or frames != list(range(frames[0], frames[-1] + 1)):
+        raise SceneError("baked frames must follow each other without gaps")
+    if frames[0] < 0:
+        raise SceneError("files of baked light cannot have negative frames; shift the animation")
+    return frames
+
+
+def warn_of_temporary(reporter: Any, folder: str) -> None:
+    """Tell where light is that goes when Blender ends."""
+    if not bpy.data.filepath and folder.startswith("//"):
+        text = "the .blend file is not saved: the light is in a temporary folder, gone when Blender ends"
+        report(reporter, "WARNING", text)
+
+
 def _count(volumes: list) -> str:
     return "1 volume" if len(volumes) == 1 else f"{len(volumes)} volumes"
-
-
-def light_folder(folder: str) -> str:
-    """The absolute path of a folder of baked light; a temporary one beside no .blend file."""
-    if folder.startswith("//") and not bpy.data.filepath:
-        return os.path.join(bpy.app.tempdir, "baked_light")
-    return os.path.abspath(bpy.path.abspath(folder))
 
 
 def bake_warnings(description: SceneDescription) -> list[str]:
@@ -231,4 +306,4 @@ def bake_warnings(description: SceneDescription) -> list[str]:
     return warnings
 
 
-classes = (MRPNN_OT_bake_light, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove)
+classes = (MRPNN_OT_bake_light, MRPNN_OT_bake_animation, MRPNN_OT_bake_light_fast, MRPNN_OT_bake_light_remove)

@@ -16,12 +16,12 @@ import bpy
 from ..inference import available_models
 from ..inference.network.provider import PROVIDERS
 from ..inference.scene import SceneError
-from ..inference.scene.optimizations import ALL, OPTIMIZATIONS
+from ..inference.scene.optimizations import ALL, OPTIMIZATIONS, RETIRED
+from ..mrpnn_addon.baking.light_folder import FOLDER
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.runtime.json_file import write_json
 from . import command_actions
-from .bake import FOLDER
 from .command_frames import error_message
 from .console import Console
 
@@ -156,17 +156,19 @@ def _parser() -> argparse.ArgumentParser:
                 help="in place of the scene's own, for this command",
             )
         action.add_argument(
-            "--leave-out",
+            "--optimizations",
             type=_optimizations,
             metavar="NAMES",
             help="optimizations in place of the scene's own: all, none, or of these, with commas between: "
             + ", ".join(OPTIMIZATIONS),
         )
+        # The name of earlier versions.
+        action.add_argument("--leave-out", dest="optimizations", type=_optimizations, help=argparse.SUPPRESS)
     return parser
 
 
 def _optimizations(text: str) -> frozenset:
-    named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")))
+    named = {"all": ALL, "none": frozenset()}.get(text, frozenset(text.split(",")) - set(RETIRED.values()))
     if named <= ALL:
         return named
     raise argparse.ArgumentTypeError(

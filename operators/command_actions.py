@@ -12,8 +12,10 @@ from typing import Any
 import bpy
 
 from ..inference.scene import SceneError, Settings
-from ..mrpnn_addon.baking.bake_job import BakeTarget, bake_scene
+from ..mrpnn_addon.baking.bake_job import bake_scene
 from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
+from ..mrpnn_addon.baking.light_folder import light_folder
+from ..mrpnn_addon.baking.light_sequence import LightSequence
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
 from ..mrpnn_addon.engine.render_job import render_scene
 from ..mrpnn_addon.objects.views import view_path, view_paths
@@ -22,7 +24,7 @@ from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_imag
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.scene.reader import SceneDescription
 from ..mrpnn_addon.settings.properties import scene_settings
-from .bake import bake_warnings, light_folder, make_fast
+from .bake import bake_warnings, light_frames, make_fast
 from .command_frames import each_frame, frame_reader, require_none
 from .console import Console
 
@@ -92,32 +94,28 @@ def bake(options: argparse.Namespace, console: Console, found: dict) -> None:
     if options.save and not options.save.lower().endswith(".blend"):
         raise SceneError(f"--save must end in .blend, not {options.save!r}")
     frames = parse_frames(options.frames) if options.frames else [scene.frame_current]
-    if sorted(frames) != list(range(min(frames), max(frames) + 1)):
-        raise SceneError(f"baked frames must follow each other without gaps, not {options.frames}")
-    if frames[0] < 0:
-        raise SceneError("files of baked light cannot have negative frames; shift the animation")
-    target, baked = BakeTarget(light_folder(options.folder)), []
+    frames, sequence = light_frames(frames), LightSequence(light_folder(options.folder))
     with _overridden(options) as settings:
         settings, read = replace(settings, directional=not options.no_directions), frame_reader(options, frames)
 
         def work(frame: int) -> dict:
             description = read(frame)
-            one = bake_scene(description, settings, target, console.progress(frame))
-            baked.append(one)
+            one = sequence.add(bake_scene(description, settings, sequence.target, console.progress(frame)))
             for warning in dict.fromkeys(one.warnings + bake_warnings(description)):
                 console.event("warning", warning, frame=frame, message=warning)
             files = {light.name: light.path for light in one.volumes}
             facts = {"frame": frame, "files": files, "seconds": one.seconds, "warnings": one.warnings}
-            lines = [f"baked frame {frame} in {one.seconds:.1f} s", *(f"Saved: '{path}'" for path in files.values())]
+            done = f"baked frame {frame} in {one.seconds:.1f} s" if one.seconds else f"frame {frame} has not changed"
+            lines = [done, *(f"Saved: '{path}'" for path in files.values())]
             console.event("frame", "\n".join(lines), **facts)
             return facts
 
-        failed = each_frame(sorted(frames), work, console, found, options.strict)
+        failed = each_frame(frames, work, console, found, options.strict)
     if options.save:
         if len(frames) == 1:
-            show_light(scene, baked[0])
-        elif any(one.volumes for one in baked):
-            show_sequence(scene, baked)
+            show_light(scene, sequence.frames[0])
+        elif any(one.volumes for one in sequence.frames):
+            show_sequence(scene, sequence.frames)
         if options.fast and scene.render.engine == "CYCLES":
             console.event("fast", make_fast(bpy.context.evaluated_depsgraph_get()))
         path = os.path.abspath(bpy.path.abspath(options.save))
@@ -196,7 +194,7 @@ def _overridden(options: argparse.Namespace) -> Iterator[Settings]:
     """The scene's settings with those of the command line; the scene is restored afterwards."""
     scene = bpy.context.scene
     settings = scene_settings(scene).settings()
-    names = ("depth_samples", "seed", "threads", "model", "provider", "leave_out")
+    names = ("depth_samples", "seed", "threads", "model", "provider", "optimizations")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if options.memory_limit is not None:
         given["memory_limit"] = options.memory_limit * 2**30

@@ -27,7 +27,7 @@ class MRPNN_preferences(PreferenceProperties, bpy.types.AddonPreferences):
         column.prop(self, "model")
         column.prop(self, "provider")
         if problem := runtime_problem():
-            label(layout, "The networks run without onnxruntime", icon="CHECKMARK")
+            label(layout, "The networks run without onnxruntime; renders look the same", icon="CHECKMARK")
             draw_text(context, layout, problem, "INFO")
         else:
             label(layout, f"onnxruntime {runtime_version()}", icon="CHECKMARK")

@@ -203,13 +203,13 @@ def _draw_preferred(context: "bpy.types.Context", layout: "bpy.types.UILayout", 
     draw_text(context, layout, f"{value}, as in the preferences")
 
 
-class MRPNN_PT_leave_out(_RenderPanel, bpy.types.Panel):
+class MRPNN_PT_optimizations(_RenderPanel, bpy.types.Panel):
     bl_label = "Optimizations"
     bl_parent_id = "MRPNN_PT_performance"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: "bpy.types.Context") -> None:
-        self.layout.column(align=True).prop(scene_settings(context.scene), "leave_out")
+        self.layout.column(align=True).prop(scene_settings(context.scene), "optimizations")
 
 
 class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
@@ -268,7 +268,7 @@ classes = (
     MRPNN_PT_plan,
     MRPNN_PT_film,
     MRPNN_PT_performance,
-    MRPNN_PT_leave_out,
+    MRPNN_PT_optimizations,
     MRPNN_PT_exr,
     MRPNN_PT_cycles,
 )

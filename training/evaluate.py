@@ -17,8 +17,8 @@ from scipy.ndimage import distance_transform_edt
 
 from inference.evaluation.error import error_text
 from training.data.targets import SUNS
-from training.data.volumes import make_volume
 from training.networks import NETWORKS
+from training.procedural.volumes import make_volume
 from training.train import BATCH, RADIANCE_EPS, first_rows, load, predict, start_from
 
 BINS = {

@@ -20,7 +20,7 @@ import os
 import onnx
 import torch
 
-from inference.features.rpnn_lattice import make_sun_lattice
+from inference.paper.rpnn_lattice import make_sun_lattice
 from training.data.stencil import load_stencil
 from training.files import complete_file
 from training.networks import NETWORKS

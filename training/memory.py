@@ -16,9 +16,9 @@ import pathlib
 import numpy as np
 
 from inference.grids.working_cube import fit_cube
-from training.data.seeded_volume import seeded_volume
 from training.data.targets import SUNS
 from training.evaluate import load_weights, predictions
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 from training.train import RADIANCE_EPS, load
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inference.network.conditions import Conditions, RayPoints
+from inference.network.interfaces import Predictor
 from inference.network.network import register_system
 from inference.runtime.cancellation import NEVER
 from inference.runtime.tasks import SERIAL
@@ -37,7 +38,7 @@ class PathTracer:
     anisotropy_range = (-1.0, 1.0)
     sigma_hat_range = (0.0, np.inf)
     albedo_range = (0.0, 1.0)
-    needs_ray_features = False
+    deviation = None
 
     def __init__(self, paths: int = PATHS):
         self.paths = paths
@@ -47,10 +48,10 @@ class PathTracer:
         return VolumeTracer(self.paths, volume, cube, anisotropy)
 
 
-class VolumeTracer:
+class VolumeTracer(Predictor):
     """The tracer's cube, made of a volume's own voxels."""
 
-    respects_surfaces = False
+    respects_surfaces = respects_albedo = False
 
     def __init__(self, paths, volume, cube, anisotropy):
         axes = volume.world_from_index[:3, :3]
@@ -87,7 +88,7 @@ class PreparedTracer:
     volume: VolumeTracer
     sigma: float
     sun: np.ndarray
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos) -> np.ndarray:
         """Noisy radiance float32 (A, N), the same for the same points and jitter; ray features are not needed."""

@@ -22,9 +22,9 @@ import time
 import numpy as np
 import torch
 
+from inference.environments.blurred_environment import blurred, read_image
+from inference.environments.environment_light import direction_radiance
 from inference.network import environment_features as features
-from inference.transport.blurred_environment import blurred, read_image
-from inference.transport.environment_light import direction_radiance
 from training.files import complete_file
 from training.networks.environment import WIDTH, EnvironmentNet
 from training.tracer.exits import decode_directions

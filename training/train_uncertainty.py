@@ -19,7 +19,7 @@ import pathlib
 import numpy as np
 import torch
 
-from inference.network import weights_file
+from inference.models import weights_file
 from inference.network.uncertainty import inputs
 from training.evaluate import load_weights
 from training.export import save

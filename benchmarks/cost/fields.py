@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from inference.features.mip_lattices import build_lattices, padded_pyramid
+from inference.features.mip_lattices import density_lattices, padded_pyramid
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
 from inference.grids.merge import resampled
@@ -21,7 +21,7 @@ from inference.grids.working_cube import fit_cube
 from inference.kernels.library import load_kernels
 from inference.network.network import load_network
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import SunBeam
+from inference.source_terms.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.radiance_sweep import sweep_radiance
 
@@ -49,7 +49,7 @@ def stages(voxels: int) -> dict[str, Callable[[], object]]:
         "sun columns": lambda: SunOpticalDepth(dense, SUN),
         "sun columns, sparse": lambda: SunOpticalDepth(sparse, SUN),
         "density pyramid": lambda: padded_pyramid(volume, cube, stencil),
-        "lattices": lambda: build_lattices(pyramid, SIGMA_HAT, stencil),
+        "lattices": lambda: density_lattices(pyramid, SIGMA_HAT, stencil),
         "discrete ordinates": lambda: solver.solve(SunBeam(SUN)),
         "emission sweep": lambda: sweep_radiance(100.0 * few, few, 1.0 / 32, FACE),
         "merged volumes": lambda: resampled(

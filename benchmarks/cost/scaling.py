@@ -95,8 +95,8 @@ def optimizations_table(size: int) -> str:
     plate = Surface([[(-9.0, -9.0, 9.0), (9.0, -9.0, 9.0), (0.0, 9.0, 9.0)]], covers=False)
     suns = [SUN, Sun(SUN.direction, 0.5), Sun((0.0, 0.0, 1.0))]
 
-    def draw(leave_out):
-        return render([(volume, medium)], suns, view, Settings(leave_out=leave_out), surfaces=[plate])
+    def draw(optimizations):
+        return render([(volume, medium)], suns, view, Settings(optimizations=optimizations), surfaces=[plate])
 
     lines = ["| switched off | " + " | ".join(STAGES) + " | total | ratio | change |", "|---" * (len(STAGES) + 4) + "|"]
     usual = draw(ALL)
@@ -121,9 +121,9 @@ def optimizations_table(size: int) -> str:
 def depth_table() -> str:
     lines = ["| view | " + " | ".join(str(n) for n in (1, 2, 3, 4, 8, 16)) + " |", "|---" * 7 + "|"]
     for view in independent_views():
-        truth = view.render(Settings(64, leave_out=EVERY_PIXEL))
+        truth = view.render(Settings(64, optimizations=EVERY_PIXEL))
         cells = [
-            error_and_points(view.render(Settings(samples, leave_out=EVERY_PIXEL)), truth)
+            error_and_points(view.render(Settings(samples, optimizations=EVERY_PIXEL)), truth)
             for samples in (1, 2, 3, 4, 8, 16)
         ]
         lines.append(f"| {view.name} | {' | '.join(cells)} |")
@@ -145,8 +145,8 @@ def sharing_table() -> str:
     views = {view.name: view for view in independent_views()}
     for name in SHARING_VIEWS:
         for size in SHARING_SIZES:
-            truth = views[name].render(Settings(SHARING_TRUTH, leave_out=EVERY_PIXEL), size)
-            layers = [views[name].render(Settings(n, leave_out=share), size) for n, share in choices]
+            truth = views[name].render(Settings(SHARING_TRUTH, optimizations=EVERY_PIXEL), size)
+            layers = [views[name].render(Settings(n, optimizations=share), size) for n, share in choices]
             cells = [error_and_points(layer, truth) for layer in layers]
             lines.append(f"| {name} | {size}² | {' | '.join(cells)} |")
             print(lines[-1], flush=True)

@@ -40,7 +40,7 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
 
     from inference.grids.dense_grid import DenseGrid
-    from training.data.volumes import make_volume
+    from training.procedural.volumes import make_volume
 
     density = make_volume(SEED, cells // SPLIT).density
     density[:2, :2, :2] = density[-2:, -2:, -2:] = density.max()

@@ -16,11 +16,11 @@ import numpy as np
 import onnx
 
 from inference import Camera, Medium, Settings, Sun, render
+from inference.models.weights_file import WEIGHTS
 from inference.network.network import load_network
 from inference.network.predictor import POINTS_PER_TASK
-from inference.network.weights_file import WEIGHTS
-from training.data.seeded_volume import cube_volume
-from training.data.volumes import HELD_BACK, make_volume
+from training.procedural.seeded_volume import cube_volume
+from training.procedural.volumes import HELD_BACK, make_volume
 
 from ..fidelity.views import look_at
 from ..support.provenance import made_by

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import bpy
 
-from training.data.volumes import make_volume
+from training.procedural.volumes import make_volume
 
 from ..demo.scene import CLOUD_SEED, fit, make_scene, write_grid
 from ..support.extension import load_extension

@@ -73,7 +73,7 @@ def main() -> None:
     print(f"| | {options.samples} samples | {10 * options.samples} samples | without noise |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         scene = stage(Path(folder), options)
-        exact = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
+        exact = Settings(depth_samples=32, optimizations=ALL - {"shared_pixels"})
         layers = []
         for frame in range(options.frames):
             path(scene, frame)

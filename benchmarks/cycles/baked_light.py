@@ -82,7 +82,7 @@ def measure(view: View) -> dict:
 
     with tempfile.TemporaryDirectory() as folder:
         scene = stage(view, Path(folder))
-        exact = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
+        exact = Settings(depth_samples=32, optimizations=ALL - {"shared_pixels"})
         layer = _layer(read_scene(scenes.depsgraph()), exact)
         start = time.process_time()
         bpy.ops.mrpnn.bake_light(folder=folder)

@@ -45,7 +45,7 @@ def stage(folder: Path, size, cells: int):
     from mathutils import Vector
 
     from tests.support import blender_scenes as scenes
-    from training.data.volumes import make_volume
+    from training.procedural.volumes import make_volume
 
     scene = scenes.empty_scene()
     scene.render.resolution_x, scene.render.resolution_y = size

@@ -118,7 +118,7 @@ def flicker(scene, read_scene, options) -> dict:
     from mrpnn.inference.scene.optimizations import ALL
 
     usual = inference.Settings(depth_samples=options.depth_samples)
-    exact = inference.Settings(depth_samples=CONVERGED, leave_out=ALL - {"shared_pixels"})
+    exact = inference.Settings(depth_samples=CONVERGED, optimizations=ALL - {"shared_pixels"})
     scene.render.resolution_percentage = options.flicker_scale
     beyond, itself, mean, pixels, last = 0.0, 0.0, 0.0, 0, None
     for frame in range(scene.frame_start, scene.frame_end + 1):

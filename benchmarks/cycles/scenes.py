@@ -75,7 +75,7 @@ def main(arguments=None) -> int:
 def write_cloud(path: Path) -> None:
     from mrpnn.mrpnn_addon.vdb.openvdb_module import load_openvdb
 
-    from training.data.volumes import make_volume
+    from training.procedural.volumes import make_volume
 
     demo_scene.write_grid(path, make_volume(scene_features.SEED, scene_features.CELLS).density, load_openvdb())
 

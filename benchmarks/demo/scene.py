@@ -22,7 +22,7 @@ CLOUD_CELLS = 192
 
 def write_cloud(path: Path, openvdb) -> None:
     """Write the generator's cumulus as `write_grid` does."""
-    from training.data.volumes import make_volume
+    from training.procedural.volumes import make_volume
 
     write_grid(path, make_volume(CLOUD_SEED, CLOUD_CELLS).density, openvdb)
 

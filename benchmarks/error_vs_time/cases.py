@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mathutils import Vector
 
-from training.data.volumes import HELD_BACK, make_volume
+from training.procedural.volumes import HELD_BACK, make_volume
 
 from ..demo import scene as demo_scene
 from ..support.data import volume_file

@@ -30,7 +30,7 @@ from .views import MASK_ALPHA, View, independent_views, look_at
 
 PROGRAM = "benchmarks.fidelity.baked_directions"
 ORBIT = 40.0
-EXACT = Settings(depth_samples=32, leave_out=ALL - {"shared_pixels"})
+EXACT = Settings(depth_samples=32, optimizations=ALL - {"shared_pixels"})
 SKY = "gradient over dark ground"
 # Distance of the point light from the volume's middle.
 LAMP_DISTANCE = 1.0

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from inference.scene.description import Volume
-from training.data.seeded_volume import seeded_volume
 from training.data.targets import SIGMA_HAT_RANGE, draw_anisotropy, rays_towards, unit_vectors
+from training.procedural.seeded_volume import seeded_volume
 
 from .references import traced_parts
 from .views import FOV, View, ViewSpec

@@ -20,7 +20,7 @@ from inference import Camera, Environment, Medium, Settings, render
 from inference.plan.directional_lights import directional_lights
 from inference.plan.lights import DIRECTIONS
 from inference.scene.environment import pixel_directions, pixel_solid_angles
-from training.data.seeded_volume import seeded_volume
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import trace_camera_exits
 from training.tracer.path_tracer import Sampling

@@ -17,8 +17,8 @@ import numba
 import numpy as np
 
 from inference import Camera, Medium, PointLight, Settings, SpotLight, render
-from training.data.seeded_volume import cube_volume
-from training.data.volumes import make_volume
+from training.procedural.seeded_volume import cube_volume
+from training.procedural.volumes import make_volume
 from training.tracer.density_grid import prepare
 from training.tracer.henyey_greenstein import phase_hg, scatter
 from training.tracer.path_tracer import enter_cube

@@ -62,7 +62,7 @@ def measure(view: View, systems, depth_samples: int):
     sample = seconds_per_sample(view)
     measured, images = [], {}
     for system in systems:
-        layer = view.render(Settings(depth_samples=depth_samples, model=system, leave_out=ALL - {"shared_pixels"}))
+        layer = view.render(Settings(depth_samples=depth_samples, model=system, optimizations=ALL - {"shared_pixels"}))
         rgb = images[system] = layer.rgb * mask[..., None]
         rmse, bias = relative_rmse(rgb, a, b, mask), relative_bias(rgb, a, b, mask)
         # Where the error is too small to be told from 0, the interval's end stands for it.

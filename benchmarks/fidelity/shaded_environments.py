@@ -15,7 +15,7 @@ import numpy as np
 from inference import Environment, Medium, Settings, Surface, render
 from inference.plan.directional_lights import directional_lights
 from inference.plan.lights import DIRECTIONS
-from training.data.seeded_volume import seeded_volume
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import decode_directions, trace_camera_exits
 from training.tracer.path_tracer import Sampling

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inference import Camera, Medium, Settings, Sun, render
-from training.data.seeded_volume import cube_volume
-from training.data.volumes import HELD_BACK, make_volume
+from training.procedural.seeded_volume import cube_volume
+from training.procedural.volumes import HELD_BACK, make_volume
 
 from ..support.data import REFERENCES
 from .references import traced_halves

@@ -29,7 +29,7 @@ def made_by(program: str, arguments: Sequence | None = None, models: Sequence[st
 
 def weights_checksum(model: str) -> str:
     """First digits of the sha256 of a network's weights; "" where it has none."""
-    from inference.network import weights_file
+    from inference.models import weights_file
 
     path = weights_file.WEIGHTS / f"{model}.onnx"
     return hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS] if path.is_file() else ""

@@ -54,7 +54,7 @@ def bake(
     back is baked as a whole, single scattering included. camera: from which light is baked exactly; other directions
     are right through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the
     mean over all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`,
-    `compiled`, `directional` and `leave_out`.
+    `directional`, `most_voxels` and `optimizations`.
 
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
@@ -65,7 +65,7 @@ def bake(
             # Without a camera, no surface is known to hide a part of the volumes from it.
             seen = [replace(surface, covers=surface.covers and camera is not None) for surface in surfaces]
             place = _NO_IMAGE if camera is None else replace(camera, resolution=(1, 1), region=None)
-            if cache is None or "unchanged" not in settings.leave_out:
+            if cache is None or "unchanged" not in settings.optimizations:
                 cache = RenderCache()
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
@@ -103,7 +103,7 @@ class _Bake:
 
     def __init__(self, context: RenderContext, scene: PreparedScene, camera: Camera | None):
         self.context, self.scene, self.camera = context, scene, camera
-        self.view, self._switches = baked_view(camera), context.settings.leave_out
+        self.view, self._switches = baked_view(camera), context.settings.optimizations
         self.lattices = [self._lattice(v) for v in range(len(scene.plan.volumes))]
         self.visibilities = [self._visibility(v) for v in range(len(scene.plan.volumes))]
         self._expect()
@@ -130,11 +130,8 @@ class _Bake:
         }
 
     def _lattice(self, v: int) -> BakeLattice:
-        volume, settings = self.scene.plan.volumes[v][0], self.context.settings
         self.context.cancel.check()
-        return make_lattice(
-            volume, self.scene.grids[v], self.camera, settings.memory_limit, "small_voxels" in self._switches
-        )
+        return make_lattice(self.scene.plan.volumes[v][0], self.scene.grids[v], self.camera, self.context.settings)
 
     def _visibility(self, v: int) -> Visibility:
         sigma_t = self.scene.plan.volumes[v][1].sigma_t
@@ -151,11 +148,9 @@ class _Bake:
         points = sum(wanted)
         if self.context.settings.directional:
             points += sum(self._directional(v, voxels) for v, voxels in enumerate(wanted))
-        needs_fluence = self.scene.network is not None and self.scene.network.needs_ray_features
-        progress.expect("transport", jobs * len(plan.groups) if needs_fluence else 0.0)
+        progress.expect("transport", jobs * len(plan.groups))
         progress.expect("lattices", jobs * len(plan.groups))
-        marched = needs_fluence or bool(self.scene.environments or plan.lamps)
-        progress.expect("march", 60.0 * points * len(plan.channels) if marched else 0.0)
+        progress.expect("march", 60.0 * points * len(plan.channels))
         progress.expect("network", points * jobs)
 
     def _directional(self, v: int, voxels: float) -> float:

@@ -13,6 +13,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Volume
 from ..scene.errors import SceneError
+from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
 from .directional_factor import BakedView
 
@@ -53,21 +54,26 @@ class BakeLattice:
         return float(np.linalg.norm(self.world_from_index[:3, :3], axis=0).max())
 
 
-def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, memory_limit: int, coarsen: bool) -> BakeLattice:
+def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Settings) -> BakeLattice:
     """The voxels of a volume around what is not empty, or larger ones.
 
-    grid: of the volume. coarsen: whether voxels much smaller than a pixel of the camera are joined. Raises SceneError
-    where the memory limit does not suffice.
+    grid: of the volume. settings: of these `memory_limit`, `most_voxels`, and `small_voxels` of `optimizations`, with
+    which voxels much smaller than a pixel of the camera are joined. Raises SceneError where the memory limit does not
+    suffice.
     """
     bounds = [found for found in map(filled_bounds, (volume.density, *volume.emission_channels())) if found is not None]
     low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
-    times = _coarsening(volume, grid, camera) if coarsen and camera is not None else 1
+    times = 1
+    if camera is not None and "small_voxels" in settings.optimizations:
+        times = _coarsening(volume, grid, camera)
+    if settings.most_voxels:
+        times = max(times, int(-(-(high - low).max() // settings.most_voxels)))
     shape = -(-(high - low) // times) + 2
     needed = float(np.prod(shape.astype(float))) * VOXEL_BYTES
-    if needed > memory_limit:
+    if needed > settings.memory_limit:
         raise SceneError(
             f"{volume.name}: baking its light needs about {needed / 2**30:.1f} GiB and the limit is "
-            f"{memory_limit / 2**30:.1f} GiB; raise the limit, or resample the volume's grids"
+            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or resample the volume's grids"
         )
     frame = np.eye(4)
     frame[:3, :3] = volume.world_from_index[:3, :3] * times

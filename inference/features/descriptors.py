@@ -1,31 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Features mu, S and P at the stencil's points around each x."""
+"""Features of fields at the stencil's points around each x."""
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from .mip_lattices import Lattices
-from .phase_features import PhaseFeatures
-from .stencil import LOW_POINTS, POINTS, Stencil, frames
+from .stencil import Stencil, frames
 
 # Points looked up together, so that intermediate results stay in the cache and matrix products small (`small_matmul`).
 POINTS_PER_STEP = 192
 
 
-def stencil_points(stencil: Stencil, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
-    """The stencil around each position: float32 (N, 192, 3) in the cube's frame.
-
-    positions: (N, 3). omega: (N, 3) camera-ray directions. sun: (3,) unit vector.
-    """
-    points = np.empty((len(positions), POINTS, 3), np.float32)
-    rotation = frames(omega, sun).astype(np.float32)
-    np.matmul(stencil.low, rotation.transpose(0, 2, 1), out=points[:, :LOW_POINTS])
-    points[:, LOW_POINTS:] = stencil.high[:, None] * sun.astype(np.float32)
-    points += positions[:, None].astype(np.float32)
-    return points
-
-
 class FieldLookup:
-    """Features mu and S at the stencil around points, for one sun, or for light from elsewhere at each point."""
+    """A feature at the stencil around points, for one sun, or for light from elsewhere at each point."""
 
     def __init__(self, stencil: Stencil, lattices: Lattices, sun: np.ndarray):
         """sun: (3,) unit vector in the cube's frame."""
@@ -34,9 +22,9 @@ class FieldLookup:
         levels = [lattices.levels[m] for m in stencil.mips]
         scale = np.array([level.scale for level in levels], np.float32)
         origin = np.array([level.origin * level.scale for level in levels], np.float32)
-        self.stride = np.array([level.packed.strides for level in levels], np.int32).T // lattices.values.itemsize
+        self.stride = np.array([level.values.strides for level in levels], np.int32).T // lattices.values.itemsize
         self.row = self.stride[1].astype(np.float32)
-        sizes = np.array([level.packed.size for level in lattices.levels])
+        sizes = np.array([level.values.size for level in lattices.levels])
         begin = (np.cumsum(sizes) - sizes)[stencil.mips]
         first = np.array([level.first for level in levels]).T
         self.begin = (begin - (self.stride * first).sum(axis=0)).astype(np.int32)
@@ -58,13 +46,27 @@ class FieldLookup:
         jitter: np.ndarray | None = None,
         towards: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Features of points: float32 (N, points of the stencil, columns of the lattices).
+        """The lattices' feature at points: float32 (N, points of the stencil).
 
         positions: (N, 3) in the cube's frame. omega: (V, 3) camera-ray directions. view: int (N,), direction of each
         point. jitter: (N, 3) in [-1/2, 1/2), offset of each point's lookups in fine cells; averaged over it, the
         nearest cell is linear interpolation, and cells leave no bands. towards: (V, 3), where the light of each
         direction comes from, if not from the sun.
         """
+        features = np.empty((len(positions), self.begin.size), np.float32)
+        for span, index in self.cells(positions, omega, view, jitter, towards):
+            self.lattices.read(index, features[span])
+        return features
+
+    def cells(
+        self,
+        positions: np.ndarray,
+        omega: np.ndarray,
+        view: np.ndarray,
+        jitter: np.ndarray | None = None,
+        towards: np.ndarray | None = None,
+    ) -> Iterator[tuple[slice, np.ndarray]]:
+        """Spans of the points, and what a call reads at them: int32 (n, points of the stencil), into `values`."""
         count = len(positions)
         point = np.zeros((3, count, 6 if towards is None else 7), np.float32)
         point[..., 0], point[..., 5] = positions.T, 1.0
@@ -75,7 +77,6 @@ class FieldLookup:
         turned = frames(omega, self.sun if towards is None else towards).astype(np.float32)
         for axis, rows in enumerate(turned.transpose(1, 0, 2)):
             point[axis, :, 1:4] = rows.take(view, axis=0)
-        features = np.empty((count, self.begin.size, self.lattices.columns), np.float32)
         terms = self.terms[:, : point.shape[2]]
         for start in range(0, count, POINTS_PER_STEP):
             span = slice(start, start + POINTS_PER_STEP)
@@ -87,8 +88,7 @@ class FieldLookup:
             index *= self.stride[0]
             index += cell.astype(np.int32)
             index += self.begin
-            self.lattices.read(index, features[span])
-        return features
+            yield span, index
 
 
 def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,23 +107,3 @@ def angle_to_sun(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     omega, sun = np.asarray(omega, np.float64), np.asarray(sun, np.float64)
     cosine = omega @ sun if sun.ndim == 1 else (omega * sun).sum(axis=1)
     return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
-
-
-def describe(
-    lookup: FieldLookup,
-    phase: PhaseFeatures,
-    positions: np.ndarray,
-    omega: np.ndarray,
-    jitter: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Descriptors of points for one sun, as the paper's networks read them.
-
-    positions, omega: (N, 3) in the cube's frame. jitter: as for FieldLookup. Returns features float32 (3, N, 192) in
-    the order mu, S, P, and gamma float32 (N,).
-    """
-    first, view = distinct_rows(omega)
-    features = np.empty((3, len(positions), POINTS), np.float32)
-    features[:2] = lookup(positions, omega[first], view, jitter).transpose(2, 0, 1)
-    gamma = angle_to_sun(omega, lookup.sun)
-    features[2] = phase(gamma)
-    return features, gamma

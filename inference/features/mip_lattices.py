@@ -1,30 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The density pyramid and the scaled transmittance fields, which the descriptors read.
+"""The density pyramid, and lattices of it that the descriptors read.
 
-Mip m has n = 2^(8 - m) cells along the edge of the cube. Its density is level m of the pyramid; its transmittance is
-field i = max(m - 1, 0), which integrates through level i + 1. Both are stored on a lattice that extends as far beyond
-the cube as the mip's stencil points: density is 0 there, and the optical depth towards the sun through the cube equals
-that of the redirection to the boundary in appendix A.3 of the paper.
+Mip m has n = 2^(8 - m) cells along the edge of the cube. Its density is level m of the pyramid. Its lattice extends as
+far beyond the cube as the mip's stencil points; density is 0 there.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..grids.halving import halve
-from ..grids.optical_depth_sweep import sun_optical_depth
 from ..grids.working_cube import Cube, level0_density
 from ..kernels import structures
 from ..kernels.library import call
-from ..occluders.shadow_map import ShadowMap
 from ..plan.resolution import LEVEL0_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from .stencil import MIPS, Stencil
 
-# beta of the scaled transmittance: field i stores exp(-beta^(i + 1) tau).
-BETA = 0.578
 # The density feature is log(1 + sigma_hat * density / DENSITY_SCALE).
 DENSITY_SCALE = 64.0
 # Fine cells of the lookup lattice per cell of a mip: a lookup of the nearest fine cell replaces a trilinear lookup.
@@ -33,11 +28,6 @@ FINE = (1, 2, 2, 2, 4, 8, 16, 16)
 QUANTA = 65535
 # Fine cells that one task builds.
 CELLS_PER_TASK = 1 << 21
-# Optical depth that stands for the shadow of surfaces in the scaled transmittance: no volume that the network was
-# trained on makes its wider fields black.
-MAX_SHADOW_DEPTH = 10.0
-# Sample points along an edge of a cell of levels 1 to 7 for the visibility of the sun.
-VISIBILITY_SAMPLES = (1, 1, 1, 2, 4, 4, 4)
 
 
 def density_pyramid(level0: np.ndarray) -> list[np.ndarray]:
@@ -80,37 +70,15 @@ def inner_cells(padded: np.ndarray, m: int, stencil: Stencil) -> np.ndarray:
     return padded[(slice(margins(stencil)[m], -margins(stencil)[m]),) * 3]
 
 
-def unit_optical_depths(padded: Sequence[np.ndarray], direction: np.ndarray) -> list[np.ndarray]:
-    """Optical depth towards the sun through levels 1 to 7 for sigma_hat = 1, on the padded lattices.
-
-    direction: (3,) unit vector towards the sun in the cube's frame.
-    """
-    return [
-        sun_optical_depth(level, direction, 1.0 / (LEVEL0_CELLS >> m)) for m, level in enumerate(padded[1:], start=1)
-    ]
-
-
-def visibility_levels(stencil: Stencil, shadow_map: ShadowMap) -> list[np.ndarray]:
-    """Visibility of the sun in the cells of levels 1 to 7, on the padded lattices.
-
-    shadow_map: in the cube's frame.
-    """
-    return [
-        shadow_map.cell_visibility(LEVEL0_CELLS >> m, margin, samples)
-        for m, (margin, samples) in enumerate(zip(margins(stencil)[1:], VISIBILITY_SAMPLES), start=1)
-    ]
-
-
 @dataclass
 class Lattice:
-    """Features of one mip, ready for one lookup per point.
+    """A feature of one mip, ready for one lookup per point.
 
-    packed: uint16 (sx, sy, sz), density feature at fine-cell centres in quantization steps; or uint32 with that in the
-    lower half and the scaled transmittance in the upper half. origin: cube coordinate of fine cell 0, the same on every
-    axis. scale: fine cells per cube edge. first: int (3,), the fine cell at packed[0, 0, 0].
+    values: uint16 (sx, sy, sz), at fine-cell centres in quantization steps. origin: cube coordinate of fine cell 0, the
+    same on every axis. scale: fine cells per cube edge. first: int (3,), the fine cell at values[0, 0, 0].
     """
 
-    packed: np.ndarray
+    values: np.ndarray
     origin: float
     scale: float
     first: np.ndarray
@@ -120,32 +88,18 @@ class Lattice:
 class Lattices:
     """Lattices of mips 0 to 7.
 
-    values: packed values of all lattices, one after another. density_step: quantization step of the density feature;
-    the step of the transmittance is 1 / QUANTA.
+    values: of all lattices, one after another. step: of their quantization.
     """
 
     values: np.ndarray
     levels: list[Lattice]
-    density_step: np.float32
-
-    @property
-    def columns(self) -> int:
-        """Features per cell: 1 for density alone, or 2."""
-        return self.values.itemsize // 2
+    step: np.float32
 
     def read(self, index: np.ndarray, features: np.ndarray) -> None:
-        """Fill features, float32 (N, k, columns), with density and, if stored, transmittance.
-
-        index: (N, k), into `values`.
-        """
+        """Fill features, float32 (N, k); index: (N, k), into `values`."""
         # The lattices contain every cell that a stencil can read; clipping is cheaper than checking.
-        steps = self.values.take(index, mode="clip").view(np.uint16)
-        features = features.reshape(steps.shape)
-        features[...] = steps
-        if self.columns == 1:
-            features *= self.density_step
-        else:
-            features *= np.tile(np.array([self.density_step, 1.0 / QUANTA], np.float32), index.shape[1])
+        features[...] = self.values.take(index, mode="clip")
+        features *= self.step
 
 
 def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -179,10 +133,8 @@ class Between:
             fraction.append((position - below[-1]).astype(np.float32))
         return cls(below, fraction)
 
-    def described(self, grid: np.ndarray | None) -> structures.Shared:
-        """For the kernel; empty for None."""
-        if grid is None:
-            return structures.Refinement()
+    def described(self, grid: np.ndarray) -> structures.Shared:
+        """For the kernel."""
         return structures.Refinement(
             values=np.ascontiguousarray(grid, np.float32),
             shape=np.array(grid.shape),
@@ -192,90 +144,86 @@ class Between:
 
 
 @dataclass(frozen=True)
-class SunLevels:
-    """Light of one sun on levels 1 to 7 of the padded pyramid.
+class FineCells:
+    """Centres of some fine cells of a mip's lattice; centres: along each axis, in cube edges from the cube's corner."""
 
-    unit_depths: from `unit_optical_depths`. visibility: from `visibility_levels`, or None if no surface shadows the
-    cube.
-    """
+    mip: int
+    centres: list[np.ndarray]
+    stencil: Stencil
 
-    unit_depths: list[np.ndarray]
-    visibility: list[np.ndarray] | None = None
+    def between(self, mip: int) -> Between:
+        """Where they lie between the cells of the padded level of a mip."""
+        cells, margin = LEVEL0_CELLS >> mip, margins(self.stencil)[mip]
+        return Between.of([centre * cells + margin - 0.5 for centre in self.centres], [cells + 2 * margin] * 3)
 
 
-def build_lattices(
-    padded: Sequence[np.ndarray],
-    sigma_hat: float,
+#: What `fill_lattice` fills fine cells from: fields of its structure by name.
+Filling = Callable[[FineCells], dict[str, Any]]
+
+
+def fill_lattices(
     stencil: Stencil,
-    sun: SunLevels | None = None,
-    bounds: tuple[np.ndarray | float, np.ndarray | float] = (-0.5, 0.5),
+    extent: tuple[np.ndarray | float, np.ndarray | float],
+    step: np.float32,
+    filling: Filling,
     mapper: Callable[..., Iterable[None]] = map,
-    earlier: Lattices | None = None,
 ) -> Lattices:
-    """Lattices of mips 0 to 7 for one optical thickness and one sun.
+    """Lattices of mips 0 to 7, in quantization steps.
 
-    padded: from `padded_levels`. sigma_hat: extinction per unit density times the cube's edge. sun: None for lattices
-    of the density alone, which serve every sun. bounds: lowest and highest (3,), in the cube's frame, of the points to
-    describe; cells beyond the reach of their stencils are not built. mapper: `map`, or `Tasks.each` for several
-    threads. earlier: Lattices of another sun with otherwise equal arguments, whose density is reused.
-
-    Density is interpolated before taking the logarithm, and optical depth before the exponential.
+    extent: lowest and highest (3,), in the cube's frame, of the points to describe; cells beyond the reach of their
+    stencils are not built. mapper: `map`, or `Tasks.each` for several threads.
     """
     margin = margins(stencil)
-    low, high = (np.broadcast_to(end, 3) for end in bounds)
-
+    low, high = (np.broadcast_to(end, 3) for end in extent)
     spans = [_fine_span(m, stencil, low, high) for m in range(MIPS)]
     ends = np.cumsum([np.prod(last - first) for first, last in spans])
-    values = earlier.values.copy() if earlier else np.empty(ends[-1], np.uint16 if sun is None else np.uint32)
-
-    packed = [
-        values[end - np.prod(last - first) : end].reshape(last - first) for end, (first, last) in zip(ends, spans)
+    values = np.empty(ends[-1], np.uint16)
+    levels = [
+        Lattice(
+            values[end - np.prod(last - first) : end].reshape(last - first),
+            -0.5 - margin[m] / (LEVEL0_CELLS >> m),
+            float((LEVEL0_CELLS >> m) * FINE[m]),
+            first,
+        )
+        for m, (end, (first, last)) in enumerate(zip(ends, spans))
     ]
-    # No mean exceeds the largest of its terms.
-    scale = np.float32(sigma_hat / DENSITY_SCALE)
-    density_step = max(np.log(np.float32(1.0) + scale * padded[0].max()) / np.float32(QUANTA), np.float32(1e-12))
 
     def build(m: int, start: int) -> None:
         """Planes of a mip from `start` on."""
-        n, source = LEVEL0_CELLS >> m, max(m, 1)
-        first, last = spans[m]
-        block = packed[m][start : start + planes[m]]
-        columns = block.view(np.uint16).reshape(*block.shape, -1)
-        # Fine-cell centres in cube edges from the cube's lower corner.
-        cube = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
-        cube[0] = cube[0][start : start + planes[m]]
-        density = None if earlier else padded[m]
-        depth = None if sun is None else sun.unit_depths[source - 1]
-        visibility = None if sun is None or sun.visibility is None else sun.visibility[source - 1]
-        cells = LEVEL0_CELLS >> source
-        fine = Between.of([c * n + margin[m] - 0.5 for c in cube], padded[m].shape)
-        coarse = Between.of([c * cells + margin[source] - 0.5 for c in cube], padded[source].shape)
-        call(
-            "fill_lattice",
-            shape=np.array(block.shape),
-            density=fine.described(density),
-            depth=coarse.described(depth),
-            visibility=coarse.described(visibility),
-            density_scale=float(scale),
-            density_step=float(density_step),
-            depth_scale=sigma_hat * BETA**source,
-            least_visible=float(np.exp(-MAX_SHADOW_DEPTH * BETA**source)),
-            packed=columns,
-            columns=columns.shape[-1],
-            scratch=np.empty(2 * block.shape[2] + max(padded[m].shape[2], padded[source].shape[2]), np.float32),
-        )
+        n, (first, last) = LEVEL0_CELLS >> m, spans[m]
+        block = levels[m].values[start : start + planes[m]]
+        centres = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
+        centres[0] = centres[0][start : start + planes[m]]
+        most = max((LEVEL0_CELLS >> of) + 2 * margin[of] for of in (m, max(m, 1)))
+        scratch = np.empty(2 * block.shape[2] + most, np.float32)
+        fields = filling(FineCells(m, centres, stencil))
+        call("fill_lattice", shape=np.array(block.shape), packed=block, scratch=scratch, **fields)
 
     # Small blocks, so that a cancelled render ends soon.
-    planes = [max(CELLS_PER_TASK // lattice[0].size, 1) for lattice in packed]
-    tasks = [(m, start) for m in range(MIPS) for start in range(0, len(packed[m]), planes[m])]
+    planes = [max(CELLS_PER_TASK // level.values[0].size, 1) for level in levels]
+    tasks = [(m, start) for m in range(MIPS) for start in range(0, len(levels[m].values), planes[m])]
     list(mapper(lambda task: build(*task), tasks))
-    return Lattices(
-        values,
-        [
-            Lattice(
-                packed[m], -0.5 - margin[m] / (LEVEL0_CELLS >> m), float((LEVEL0_CELLS >> m) * FINE[m]), spans[m][0]
-            )
-            for m in range(MIPS)
-        ],
-        density_step,
-    )
+    return Lattices(values, levels, step)
+
+
+def density_lattices(
+    padded: Sequence[np.ndarray],
+    sigma_hat: float,
+    stencil: Stencil,
+    extent: tuple[np.ndarray | float, np.ndarray | float] = (-0.5, 0.5),
+    mapper: Callable[..., Iterable[None]] = map,
+) -> Lattices:
+    """Lattices of the density feature for one optical thickness.
+
+    padded: from `padded_levels`. sigma_hat: extinction per unit density times the cube's edge. extent, mapper: as for
+    `fill_lattices`. Density is interpolated before taking the logarithm.
+    """
+    scale = np.float32(sigma_hat / DENSITY_SCALE)
+    # No mean exceeds the largest of its terms.
+    step = max(np.log(np.float32(1.0) + scale * padded[0].max()) / np.float32(QUANTA), np.float32(1e-12))
+
+    def filling(cells: FineCells) -> dict[str, Any]:
+        density = cells.between(cells.mip).described(padded[cells.mip])
+        return {"density": density, "density_scale": float(scale), "density_step": float(step)}
+
+    return fill_lattices(stencil, extent, step, filling, mapper)

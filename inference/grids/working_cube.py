@@ -96,6 +96,15 @@ def fit_cube(volume: Volume, bounds: tuple[np.ndarray, np.ndarray] | None = None
     return Cube(rotation, rotation @ middle, edge, low, high)
 
 
+def extent(volume: Volume, cube: Cube) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest coordinates (3,), in the cube's frame, of points at which the density is above 0."""
+    ends = zip(cube.low - 1.0, cube.high * 1.0)
+    corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1)
+    matrix = volume.world_from_index
+    points = cube.positions((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
+    return points.min(axis=0), points.max(axis=0)
+
+
 def _hat_integral(x: np.ndarray) -> np.ndarray:
     """Integral of the unit hat function from -infinity to x."""
     x = np.clip(x, -1.0, 1.0)

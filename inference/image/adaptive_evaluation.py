@@ -136,7 +136,7 @@ def evaluate_adaptively(
         # Errors are those of the mean over all three channels.
         smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
         for part, weight in zip(estimate.smooth_parts(mean), shown):
-            found, part_error = interpolable(
+            agreeing, part_error = interpolable(
                 squares,
                 part,
                 error * (3.0 / estimate.quantities),
@@ -145,7 +145,7 @@ def evaluate_adaptively(
                 guide,
                 difference / np.sqrt(estimate.context.settings.depth_samples),
             )
-            smooth, centre_error = smooth & found, np.maximum(centre_error, part_error)
+            smooth, centre_error = smooth & agreeing, np.maximum(centre_error, part_error)
         if split.any():
             smooth &= ~squares.any(split)
         interior = squares.interior(smooth) & ~evaluated & ~interpolated

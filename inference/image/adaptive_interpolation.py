@@ -146,8 +146,8 @@ class Squares:
 
         The mean is as if no opacity were below FAINT.
         """
-        found, seen = guide.values[self.pixels], opacity[self.pixels]
-        largest = (np.abs(found - self._interpolated(guide.values)) * seen).max(axis=0, initial=0.0)
+        values, seen = guide.values[self.pixels], opacity[self.pixels]
+        largest = (np.abs(values - self._interpolated(guide.values)) * seen).max(axis=0, initial=0.0)
         scale = guide.scale[self.pixels] * np.maximum(seen, np.float32(FAINT))
         return largest / np.maximum(scale.mean(axis=0), 1e-30)
 
@@ -157,11 +157,11 @@ class Squares:
 
     def interior(self, smooth: np.ndarray) -> np.ndarray:
         """bool (P,): pixels of some squares (S,), except those of other squares and known pixels."""
-        found = np.zeros(self.size, bool)
-        found[self.pixels[:, smooth]] = True
-        found[self.pixels[:, ~smooth]] = False
-        found[self.known] = False
-        return found
+        inner = np.zeros(self.size, bool)
+        inner[self.pixels[:, smooth]] = True
+        inner[self.pixels[:, ~smooth]] = False
+        inner[self.known] = False
+        return inner
 
     def fill(self, values: np.ndarray, pixels: np.ndarray) -> None:
         """Interpolate values (P,) in place at the pixels of these squares that are in a mask (P,)."""

@@ -58,7 +58,7 @@ class _TileRays:
 def march_tile(
     context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile
 ) -> DepthSamples | None:
-    """Add single scattering to the tile, and in the channels' first pass emission, alpha and depth.
+    """Add single scattering to the tile, emission, alpha and depth.
 
     Returns the depth samples of all its rays, or None if no ray hits a volume. Raises Cancelled, and SceneError for
     rays that would take too many steps.
@@ -83,20 +83,20 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
     size = _rays_per_task(context, scene, counts)
     shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
-    means = _means_around_lamps(scene, channel_pass, tile, rays) if channel_pass.lamps else []
+    means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
     for start in range(0, len(rays.pixel), size):
         context.cancel.check()
-        some = slice(start, start + size)
-        batch = rays.batch.take(some)
-        segment = channel_pass.march.march_steps(batch, counts[some])
-        single = shade.single(segment, batch, rays.pixel[some], rays.free[some])
+        span = slice(start, start + size)
+        batch = rays.batch.take(span)
+        segment = channel_pass.march.march_steps(batch, counts[span])
+        single = shade.single(segment, batch, rays.pixel[span], rays.free[span])
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
-        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[some], rays.share[some], segment, single))
+        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[span], rays.share[span], segment, single))
         if segment.lamps is not None:
             for mean in means:
                 mean.replace(segment.lamps.single, start)
-            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[some], rays.share[some], segment.lamps.single)
+            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[span], rays.share[span], segment.lamps.single)
             if segment.lamps.features is not None:
                 of_lamps.append(segment.lamps.features.values)
         ray = (start + segment.sample_ray).astype(np.int32)
@@ -180,7 +180,7 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     """Add what a batch of rays gathered to the tile."""
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
-    suns = [scene.plan.suns[l] for l in channel_pass.suns]
+    suns = scene.plan.suns
     linked, known = scene.plan.linking(suns, channel_pass.volumes), {}
     for c in indices:
         albedo = np.array([last_albedo(*scene.plan.volumes[v])[c] for v in channel_pass.volumes])
@@ -190,14 +190,12 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
         if key not in known:
             known[key] = summed(pixel, np.einsum("rvl,vl,r->r", marched.single[..., place], light, weight))
         framebuffer.single[pixel[0] : pixel[0] + len(known[key]), c] += known[key]
-    if not channel_pass.first:
-        return
     if emission is not None:
         for number, c in enumerate(indices):
             add_at(framebuffer.emission[:, c], pixel, emission[:, number] * weight)
-    part = len(indices) / 3.0
-    add_at(framebuffer.alpha, pixel, segment.alpha * weight * part)
-    add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * part)
+    fraction = len(indices) / 3.0
+    add_at(framebuffer.alpha, pixel, segment.alpha * weight * fraction)
+    add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * fraction)
 
 
 def _add_lamps(
@@ -216,8 +214,8 @@ def _add_lamps(
     for c in channel_pass.channels.indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
         light = linked * albedo[:, None] * [lamp.power[c] for lamp in scene.plan.lamps]
-        found = single[..., channel_pass.scattering_place(c)]
-        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", found, light, share))
+        of_lamps = single[..., channel_pass.scattering_place(c)]
+        add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", of_lamps, light, share))
 
 
 def _means_around_lamps(
@@ -241,22 +239,19 @@ class _Shading:
     def __init__(self, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera):
         suns = scene.plan.suns
         self.extended_lights, self.camera = scene.extended_lights, camera
-        self.directions = np.array([suns[l].direction for l in channel_pass.suns]).reshape(-1, 3)
-        extended = [l for l, sun in enumerate(suns) if sun.spread is not None]
-        # Their places among the suns of the pass, and among the extended ones.
-        self.extended = [place for place, l in enumerate(channel_pass.suns) if l in extended]
-        self.used = [place for place, l in enumerate(extended) if l in channel_pass.suns]
+        self.directions = np.array([sun.direction for sun in suns]).reshape(-1, 3)
+        self.extended = [number for number, sun in enumerate(suns) if sun.spread is not None]
         self.phases = [medium.medium.scattered for medium in channel_pass.media]
 
     def single(self, segment: RaySegment, batch: RayBatch, pixel: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Single scattering (R, V, L, S) of a batch's rays by volume and sun, as in RaySegment, for irradiance 1."""
         cosine = product(batch.directions, self.directions.T)
         phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
-        if self.extended_lights is None or not self.extended:
+        if self.extended_lights is None:
             return segment.single * phase[..., None]
         x0, y0, x1, _ = self.camera.window
         row, column = np.divmod(pixel, x1 - x0)
-        towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)[..., self.used]
+        towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
         phase[..., self.extended] = towards
         # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth

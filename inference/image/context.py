@@ -106,9 +106,15 @@ class PreparedScene:
         return shown_pixels(self.camera, self.grids)
 
     @functools.cached_property
-    def seen(self) -> SeenVolumes:
-        """Which volumes matter to parts of the image."""
+    def _seen(self) -> SeenVolumes:
         return SeenVolumes(self._shown[1], self.corners, [sun.direction for sun in self.plan.suns])
+
+    def groups_in(self, window: Window) -> list[int]:
+        """Groups of volumes that matter to rays of a part of the image."""
+        if len(self.plan.groups) == 1 or "missed_pixels" not in self.plan.optimizations:
+            return list(range(len(self.plan.groups)))
+        volumes = set(self._seen(window).tolist())
+        return [g for g, members in enumerate(self.plan.groups) if not volumes.isdisjoint(members)]
 
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""
@@ -116,10 +122,10 @@ class PreparedScene:
             (g, group) for g, group in enumerate(self.groups) if group is not None and self.plan.predicts(g, channels)
         ]
 
-    def media(self, channels: Channels, suns: list[int]) -> list[BoundMedium]:
-        """The volumes bound to their grids, to their extinction in some colour channels and to some of the suns."""
+    def media(self, channels: Channels, lit: bool = True) -> list[BoundMedium]:
+        """The volumes bound to their grids, their extinction in some colour channels and, where lit, the suns."""
         return [
-            BoundMedium(grid, medium, float(sigma_t), [depths[l] for l in suns])
+            BoundMedium(grid, medium, float(sigma_t), depths if lit else [])
             for grid, (_, medium), sigma_t, depths in zip(
                 self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths
             )
@@ -128,22 +134,17 @@ class PreparedScene:
 
 @dataclass(frozen=True)
 class ChannelPass:
-    """Colour channels and suns that are rendered together.
+    """Colour channels that are rendered together.
 
-    suns: numbers of them. first: whether no other pass renders these channels before, so that this one sees to what
-    does not depend on the suns. media: of each volume, with its extinction in these channels. march: marches camera
-    rays through the media. lamps: whether rays gather the light of lamps; otherwise another pass does. scattering: as
-    in MarchOptions. near: lamps near volumes, whose light needs more depth samples. most_detail: as in MarchOptions.
-    groups, volumes: numbers of those that rays are marched through. whole: the pass through all of them, if these are
-    not all.
+    media: of each volume, with its extinction in these channels. march: marches camera rays through the media.
+    scattering: as in MarchOptions. near: lamps near volumes, whose light needs more depth samples. most_detail: as in
+    MarchOptions. groups, volumes: numbers of those that rays are marched through. whole: the pass through all of them,
+    if these are not all.
     """
 
     channels: Channels
-    suns: list[int]
-    first: bool
     media: Sequence[BoundMedium]
     march: Marcher
-    lamps: bool = False
     scattering: Sequence[int] = (0,)
     near: Sequence[LampInMedia] = ()
     most_detail: int = 1
@@ -153,7 +154,7 @@ class ChannelPass:
 
     def through(self, groups: Sequence[int]) -> "ChannelPass":
         """The same through some groups of volumes alone, by number; in the light of lamps through all of them."""
-        if self.lamps or len(groups) == len(self.groups):
+        if self.march.has_lamps or len(groups) == len(self.groups):
             return self
         march = self.march.through(groups)
         return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes, whole=self)
@@ -187,6 +188,6 @@ class Tile:
     def of(cls, camera: Camera, window: Window, shown: np.ndarray) -> "Tile":
         """A black tile; shown: bool (rows, columns), pixels of the camera's window that may show a volume."""
         (left, top, *_), (x0, y0, x1, y1) = camera.window, window
-        part = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
+        pixels = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
         framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
-        return cls(replace(camera, region=window), framebuffer, Report.of_thread(), part)
+        return cls(replace(camera, region=window), framebuffer, Report.of_thread(), pixels)

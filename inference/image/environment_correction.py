@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..environments.environment_light import ROWS, Skies
 from ..grids.working_cube import Cube
 from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
 from ..marching.ray_steps import RayBatch
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
-from ..transport.environment_light import ROWS, Skies
 from .camera_pass import march_tile, ray_intervals
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .scattered_light import TileEstimate
@@ -106,8 +106,8 @@ def _compare(
         return np.where(met.any(axis=1), mean, typical[some]), variance
 
     def sums(batch: int) -> tuple[np.ndarray, np.ndarray]:
-        found = context.tasks.map(functools.partial(trace, batch), range(0, len(opacity), RAYS_PER_TASK))
-        mean, variance = (np.concatenate(part) for part in zip(*found))
+        traced = context.tasks.map(functools.partial(trace, batch), range(0, len(opacity), RAYS_PER_TASK))
+        mean, variance = (np.concatenate(part) for part in zip(*traced))
         return opacity @ mean, opacity**2 @ variance
 
     whole = predicted.sum(axis=1)
@@ -136,8 +136,8 @@ def _factor(predicted: np.ndarray, traced: np.ndarray, variance: np.ndarray) -> 
     """What predicted sums (C,) of light are to be multiplied by, from traced ones and the variances of these."""
     with np.errstate(all="ignore"):
         ratio, error = traced / predicted, variance / predicted**2
-        found = 1.0 + (ratio - 1.0) * EXPECTED**2 / (EXPECTED**2 + error)
-    return np.where(np.isfinite(found), found, 1.0)
+        factor = 1.0 + (ratio - 1.0) * EXPECTED**2 / (EXPECTED**2 + error)
+    return np.where(np.isfinite(factor), factor, 1.0)
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def _spread(values: np.ndarray, most: int) -> np.ndarray:
 def _arriving(skies: Skies, channels: Sequence[int], cube: Cube, directions: np.ndarray) -> np.ndarray:
     """Radiance (..., C) in some channels that arrives of skies in a cube's frame from world directions (..., 3)."""
     image = skies.image.reshape(2 * ROWS * ROWS, -1)
-    found = image[pixel_numbers(cube.directions(directions.reshape(-1, 3)), ROWS)]
+    radiance = image[pixel_numbers(cube.directions(directions.reshape(-1, 3)), ROWS)]
     if skies.channels > 1:
-        found = found[:, channels]
-    return np.broadcast_to(found, (len(found), len(channels))).reshape(*directions.shape[:-1], len(channels))
+        radiance = radiance[:, channels]
+    return np.broadcast_to(radiance, (len(radiance), len(channels))).reshape(*directions.shape[:-1], len(channels))

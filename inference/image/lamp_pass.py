@@ -51,9 +51,9 @@ def prepare_lamp_march(
                 of_part = {k: number for number, cluster in enumerate(clusters) for k in cluster}
                 with context.progress.stage("transport", len(clusters)):
                     lights = [light for light, _ in placed_lamps(context, scene, channels, g)]
-                    found = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-                fluence[g] = found and found.of_parts([of_part[k] for k in range(len(scene.lamps))])
-    predicted = any(one is not None for one in fluence)
+                    joined = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
+                fluence[g] = joined and joined.of_parts([of_part[k] for k in range(len(scene.lamps))])
+    predicted = any(scattered is not None for scattered in fluence)
     means = _mean_depths(context, scene, channels, pixels)
     return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius, means)
 
@@ -76,16 +76,16 @@ def _mean_depths(
     context: RenderContext, scene: PreparedScene, channels: Channels, pixels: int
 ) -> list[MeanLampDepth | None]:
     """Of each lamp, where that is worth it. Raises Cancelled."""
-    media = scene.media(channels, [])
+    media = scene.media(channels, lit=False)
     if len(media) != 1 or "soft_shadows" not in scene.plan.optimizations:
         return [None] * len(scene.lamps)
-    found: list[MeanLampDepth | None] = []
+    means: list[MeanLampDepth | None] = []
     with context.report.stage("shadows"):
         for lamp in scene.lamps:
             wanted = _worthwhile(lamp, media[0], pixels)
-            found.append(context.cache.mean_lamp_depth(lamp, media[0], context.tasks) if wanted else None)
+            means.append(context.cache.mean_lamp_depth(lamp, media[0], context.tasks) if wanted else None)
             context.report.count("lamps whose shadows are averaged at voxels", wanted)
-    return found
+    return means
 
 
 def _worthwhile(lamp: LampInMedia, medium: BoundMedium, pixels: int) -> bool:
@@ -104,12 +104,12 @@ def placed_lamps(
     """The plan's clusters of lamps for a group of volumes, and the group's albedos in each. Raises Cancelled."""
     group = scene.groups[g]
     assert group is not None
-    medium, sigma_t, found = group.medium, float(group.medium.sigma_t[channels.indices[0]]), []
+    medium, sigma_t, placed = group.medium, float(group.medium.sigma_t[channels.indices[0]]), []
     for lamp in lamps_of_group(scene, g):
         light, conditions = PlacedLamp(lamp, group.predictor.cube, scene.lamp_radius), (scene.occluders, context.tasks)
         asked = group.predictor.albedos(medium, sigma_t, channels.indices, light, *conditions, scene.plan.optimizations)
-        found.append((replace(light, albedos=asked.values), asked))
-    return found
+        placed.append((replace(light, albedos=asked.values), asked))
+    return placed
 
 
 def lamps_of_group(scene: PreparedScene, g: int) -> list[PredictedLamp]:
@@ -159,7 +159,7 @@ def means_around_lamps(
         met = (columns >= 0) & (along > batch.near - width) & (along < batch.far + width)
         distance = np.linalg.norm(away - along[:, None] * batch.directions, axis=1)
         beside[met, k] = (distance / width)[met]
-    found = []
+    means = []
     for least, most, within in AROUND:
         lamps = (beside >= least) & (beside < most)
         numbers = np.flatnonzero(lamps.any(axis=1))
@@ -177,5 +177,5 @@ def means_around_lamps(
         assert segment.lamps is not None
         single = np.zeros((len(numbers), *segment.lamps.single.shape[1:]))
         np.add.at(single, hit // within**2, segment.lamps.single / within**2)
-        found.append(LampMeans(numbers, lamps[numbers], single))
-    return found
+        means.append(LampMeans(numbers, lamps[numbers], single))
+    return means

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..network.uncertainty import has_uncertainty
 from ..plan.resolution import BAND
 from ..runtime.report import ExpectedError
 from ..scene.camera import Camera
@@ -31,11 +30,10 @@ HALF_OF_PIXELS, MOST_OF_PIXELS = 0.95, 3.69
 HALF_OF_PICTURES, MOST_OF_PICTURES = (0.87, 1.15), (0.66, 1.51)
 # Within which 95 % of pictures' biases lie, over the expected error.
 BIAS = 0.68
-# Relative errors of light from everywhere by albedo, at held-back points (docs/weights.md), of light that volumes emit
-# and scatter, and of networks without another for their error (docs/fidelity.md).
+# Relative errors of light from everywhere by albedo, at held-back points (docs/weights.md), and of light that volumes
+# emit and scatter.
 ENVIRONMENT = ((0.0, 0.6, 0.9, 0.98, 1.0), (0.3, 0.199, 0.111, 0.080, 0.068))
 SCATTERED_EMISSION = 0.1
-MODELS = {"mrpnn-narrow": 0.17, "mrpnn-paper": 0.18, "mrpnn-wide": 0.18, "rpnn": 0.12}
 # Pixels of less opacity do not count in a picture's error.
 SHOWN_ALPHA = 0.02
 # Opacity of pixels at the rim; share of the light that a part of the picture must hold to be named.
@@ -80,17 +78,12 @@ class SparseDeviation:
 
 def _bands(first: int, end: int, stride: int) -> list[tuple[slice, np.ndarray]]:
     """Each band of rows or columns [first, end): where it lies, and weights (n, n) of its places for each of them."""
-    found = []
+    bands = []
     for start in range(first // BAND * BAND, end, BAND):
         places = np.arange(max(start, first), min(start + BAND, end))
         weights = np.exp(-0.5 * ((places[:, None] - places) / stride) ** 2)
-        found.append((slice(places[0] - first, places[-1] + 1 - first), weights))
-    return found
-
-
-def error_is_known(model: str) -> bool:
-    """Whether the error of a network, or of what takes its place, is told or has been measured."""
-    return model in MODELS or has_uncertainty(model)
+        bands.append((slice(places[0] - first, places[-1] + 1 - first), weights))
+    return bands
 
 
 def environment_deviation(albedo: float) -> float:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..environments.environment_light import image_in_frame
 from ..features.stencil import frames
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
@@ -35,7 +36,6 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun, Surface, Volume
 from ..scene.environment import Environment, pixel_solid_angles
 from ..scene.sparse_grid import SparseGrid
-from ..transport.environment_light import image_in_frame
 from .context import PreparedScene
 
 # Shadows on surfaces farther away than this many times the size of the volumes are those of volumes alone.
@@ -101,13 +101,13 @@ def surface_light(
     sunlit, lamplit = (linking(lights, names)[seen.owner] for lights in (plan.suns, plan.lamps))
     sunned, lamped = (plan.linking(lights).any(axis=0) for lights in (plan.suns, plan.lamps))
     for channels in scene.plan.channels:
-        c, media = channels.indices, scene.media(channels, list(range(len(scene.plan.suns))))
+        c, media = channels.indices, scene.media(channels)
         for number, sun in enumerate(scene.plan.suns):
             cancel.check()
             light = _sun_light(sun, seen) * sunlit[:, number]
             light *= _sun_visibility(shading, sun, seen, scene.corners, cancel)
-            share = _passed_sun(media, number, seen.points, c, inside)
-            irradiance[:, c] += light[:, None] * share * sun.irradiance[c]
+            passing = _passed_sun(media, number, seen.points, c, inside)
+            irradiance[:, c] += light[:, None] * passing * sun.irradiance[c]
             power[c] += ball.area[c] * sun.irradiance[c] * sunned[number]
         for number, lamp in enumerate(scene.lamps):
             cancel.check()
@@ -262,8 +262,8 @@ def _sky_light(sky: Sequence[Environment], seen: SeenSurfaces) -> tuple[np.ndarr
     light = np.broadcast_to(image * angles[..., None], (*image.shape[:2], 3)).reshape(-1, 3)
     towards = Environment(np.zeros((rows, 2 * rows, 3))).directions().reshape(-1, 3)
     normals, number = np.unique(np.round(seen.normals, 3), axis=0, return_inverse=True)
-    found = np.concatenate([product(np.maximum(product(towards, normal), 0.0)[None], light) for normal in normals])
-    return found[number.reshape(-1)], light.sum(axis=0)
+    irradiance = np.concatenate([product(np.maximum(product(towards, normal), 0.0)[None], light) for normal in normals])
+    return irradiance[number.reshape(-1)], light.sum(axis=0)
 
 
 def _sky_visibility(
@@ -318,17 +318,17 @@ def _passed_sun(
 
 def _shading(surfaces: Sequence[Surface], seen: SeenSurfaces, corners: np.ndarray) -> list[Surface]:
     """Those of surfaces that may shade seen points, since they are not behind the planes of all of them."""
-    found, middle, size = [surface for surface in surfaces if surface.shades], corners.mean(axis=0), np.ptp(corners)
+    shading, middle, size = [surface for surface in surfaces if surface.shades], corners.mean(axis=0), np.ptp(corners)
     offsets = ((seen.points - middle) * seen.normals).sum(axis=1) / size
     planes = np.unique(np.round(np.column_stack([seen.normals, offsets]), 6), axis=0)
     if len(planes) > MAX_PLANES:
-        return found
+        return shading
 
     def rises(surface: Surface) -> bool:
         corners = (surface.triangles.reshape(-1, 3) - middle) / size
         return bool(np.any(corners @ planes[:, :3].T - planes[:, 3] > FLAT))
 
-    return [surface for surface in found if rises(surface)]
+    return [surface for surface in shading if rises(surface)]
 
 
 def _sun_visibility(
@@ -345,7 +345,7 @@ def _sun_visibility(
     low, high = corners.min(axis=0), corners.max(axis=0)
     reach = SHADED_REACH * (high - low).max()
     inside = np.all((seen.points > low - reach) & (seen.points < high + reach), axis=1)
-    near, found = np.flatnonzero(inside & (seen.normals @ direction > 0.0)), np.ones(len(seen.points))
+    near, visible = np.flatnonzero(inside & (seen.normals @ direction > 0.0)), np.ones(len(seen.points))
     if len(near):
         points = seen.points[near]
         ends = np.stack([points.min(axis=0), points.max(axis=0)], axis=1)
@@ -353,15 +353,15 @@ def _sun_visibility(
         shadow_map = ShadowMap(blocking, direction, np.concatenate([box, corners]), cancel)
         cell = 1.0 / np.linalg.norm(shadow_map.linear[0])
         lifted = points + CLEARANCE * cell * seen.normals[near]
-        found[near] = shadow_map.visibility((lifted @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))
-    return found
+        visible[near] = shadow_map.visibility((lifted @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))
+    return visible
 
 
 def _lamp_light(
     lamp: LampInMedia, media: Sequence[BoundMedium], seen: SeenSurfaces, channels: Sequence[int]
 ) -> np.ndarray:
     """Irradiance (P, C) of surfaces by a lamp of power 1."""
-    found = np.zeros((len(seen.points), len(channels)))
+    irradiance = np.zeros((len(seen.points), len(channels)))
     for e, emitter in enumerate(lamp.emitters):
         away = emitter.position - seen.points
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
@@ -374,5 +374,5 @@ def _lamp_light(
             shadow_map = lamp.surface_shadow_maps[e]
             cell = 2.0 * distance / shadow_map.distances.shape[1]
             light *= shadow_map.visibility(seen.points + (CLEARANCE * cell)[:, None] * seen.normals)
-        found += light[:, None] * _passed(media, depths, channels)
-    return found
+        irradiance += light[:, None] * _passed(media, depths, channels)
+    return irradiance

@@ -22,14 +22,14 @@ def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile:
         for source in sources:
             if not samples.meets(source.members):
                 continue
-            some = samples if source.needs_detail else samples.nodes
-            inside = np.flatnonzero(some.share(source.members))
+            asked = samples if source.needs_detail else samples.nodes
+            inside = np.flatnonzero(asked.share(source.members))
             if not len(inside):
                 continue
-            estimate = TileEstimate(context, some, tile, source)
+            estimate = TileEstimate(context, asked, tile, source)
             if source.adaptive:
                 tile.report.count("network points wanted", len(inside))
-            if source.adaptive and "shared_pixels" in context.settings.leave_out:
+            if source.adaptive and "shared_pixels" in context.settings.optimizations:
                 evaluate_adaptively(estimate, inside, tile.camera.window, _single(source, tile))
             else:
                 estimate.evaluate(inside)
@@ -86,9 +86,9 @@ class TileEstimate:
             weight, mean, told = self._weight(done), np.zeros(len(done)), estimator.radiance(predicted, asked)
             for number, row in enumerate(source.rows):
                 if row.quantity in told:
-                    part = weight[:, number] * told[row.quantity]
-                    add_at(self.radiance[number], pixel, part)
-                    mean += len(row.channels) * part
+                    added = weight[:, number] * told[row.quantity]
+                    add_at(self.radiance[number], pixel, added)
+                    mean += len(row.channels) * added
             parts[done] = mean / 3.0
             if self._sparse is not None:
                 known = np.flatnonzero(self._sparse.known[pixel])
@@ -132,8 +132,8 @@ class TileEstimate:
             order = np.argsort(points)
             points, predicted = points[order], predicted[:, order]
             for start in range(0, len(points), POINTS_PER_TASK):
-                some = slice(start, start + POINTS_PER_TASK)
-                self._add_deviation(self._sparse, points[some], predicted[:, some])
+                span = slice(start, start + POINTS_PER_TASK)
+                self._add_deviation(self._sparse, points[span], predicted[:, span])
         light = source.mean(self.radiance) * (source.channels / 3.0)
         return self._sparse.everywhere(light, network.typical)
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ..marching.depth_samples import DepthSamples
 from ..marching.extended_lights import EquivalentDirections
 from ..marching.joined_lamps import PredictedLamp
 from ..network.albedos import Albedos
@@ -23,7 +22,6 @@ from ..network.estimators import (
     Turn,
 )
 from ..network.placed_lights import PlacedSkies, PlacedSun
-from ..network.predictor import Bounds, VolumePredictor
 from ..plan.lights import PredictedSun
 from ..plan.plan import Channels, last_albedo
 from ..render_cache import ScatteringGroup
@@ -32,7 +30,7 @@ from ..scene.environment import Environment
 from ..transport.scattered_fluence import ScatteredFluence
 from .context import ChannelPass, PreparedScene, RenderContext
 from .lamp_pass import placed_lamps
-from .predicted_error import MODELS, SCATTERED_EMISSION, environment_deviation
+from .predicted_error import SCATTERED_EMISSION, environment_deviation
 
 
 @dataclass(frozen=True)
@@ -124,16 +122,12 @@ class Source:
         return sum(len(row.channels) / self.channels * values for row, values in zip(self.rows, rows))
 
 
-#: Lowest and highest (3,), in the cube's frame, of the points at which a predictor is asked.
-BoundsOf = Callable[[VolumePredictor], Bounds]
-
-
 @dataclass(frozen=True)
 class AskedGroup:
     """A group of volumes whose light is asked for in some colour channels.
 
-    number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. bounds: of the points.
-    camera: on whose rays they are, or None. holds: whether large lookup lattices are kept. Methods raise Cancelled.
+    number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. camera: on whose
+    rays they are, or None. Methods raise Cancelled.
     """
 
     context: RenderContext
@@ -141,9 +135,7 @@ class AskedGroup:
     number: int
     channels: Channels
     places: Sequence[int]
-    bounds: BoundsOf
     camera: Camera | None = None
-    holds: bool = True
 
     @property
     def group(self) -> ScatteringGroup:
@@ -157,19 +149,19 @@ class AskedGroup:
         """Its extinction."""
         return float(self.group.medium.sigma_t[self.channels.indices[0]])
 
-    def suns(self, numbers: Sequence[int]) -> Iterator[Source]:
-        """Of suns by number, the parts of a soft one together."""
-        for one in self.scene.plan.predicted_suns(numbers):
-            if self.scene.plan.lights_group(one.sun, self.number):
-                light = PlacedSun(one.sun, self.group.predictor.cube, self.scene.occluders)
+    def suns(self) -> Iterator[Source]:
+        """Of all suns, the parts of a soft one together."""
+        for predicted in self.scene.plan.predicted_suns():
+            if self.scene.plan.lights_group(predicted.sun, self.number):
+                light = PlacedSun(predicted.sun, self.group.predictor.cube, self.scene.occluders)
                 anisotropy, cancel = self.group.medium.anisotropy, self.context.cancel
                 asked = self.group.medium, self.sigma_t, self.channels.indices, light, self.scene.occluders
                 yield self._predicted(
                     light,
                     self.group.predictor.albedos(*asked, self.context.tasks, self.scene.plan.optimizations),
-                    strength=one.sun.irradiance,
-                    features=functools.partial(features_of_sun, one),
-                    turn=EquivalentDirections(self.camera, one.sun, anisotropy, cancel),
+                    strength=predicted.sun.irradiance,
+                    features=functools.partial(features_of_sun, predicted),
+                    turn=EquivalentDirections(self.camera, predicted.sun, anisotropy, cancel),
                 )
 
     def lamps(self) -> Iterator[Source]:
@@ -196,23 +188,19 @@ class AskedGroup:
     ) -> Source:
         """strength, features, turn: as of LightEstimator."""
         context, scene, predictor = self.context, self.scene, self.group.predictor
-        asked = self.sigma_t, light, self.bounds(predictor), scene.occluders, context.tasks
+        with context.progress.stage("lattices", 1):
+            prepared = predictor.prepare(self.sigma_t, light, scene.occluders, context.tasks)
         estimator = LightEstimator(
             strength=strength,
             albedos=albedos,
-            prepare=functools.partial(predictor.prepare, *asked),
+            predictor=prepared,
             features=features,
             turn=turn,
             uncertainty=scene.uncertainty_network,
-            holds=self.holds,
         )
-        if self.holds:
-            with context.progress.stage("lattices", 1):
-                context.report.count("cells of lookup fields", estimator.predictor.lattice_cells)
         context.cancel.check()
         lights = len(scene.plan.suns) + len(scene.plan.lamps)
-        alone = self.holds and estimator.predictor.alone
-        return self._source(estimator, self._model_error, lights=lights, needs_detail=alone)
+        return self._source(estimator, self._model_error, lights=lights, needs_detail=prepared.alone)
 
     def environments(self, environments: Sequence[Environment]) -> Source:
         """Of environments together."""
@@ -224,7 +212,7 @@ class AskedGroup:
         assert opened is not None
         with context.progress.stage("lattices", 1):
             predictor = opened.predictor.prepare_environment(
-                scene.environment_network, environments, self.sigma_t, self.bounds(opened.predictor), context.tasks
+                scene.environment_network, environments, self.sigma_t, context.tasks
             )
         context.cancel.check()
         albedos = opened.predictor.albedos(
@@ -238,7 +226,8 @@ class AskedGroup:
         return self._source(EnvironmentEstimator(indices, albedos, predictor), environment_deviation)
 
     def _model_error(self, albedo: float) -> float:
-        return MODELS.get(self.context.settings.model, 0.0)
+        network = self.scene.network
+        return (network and network.deviation) or 0.0
 
     def _source(
         self, estimator: Estimator, relative: Callable[[float], float], lights: int = 0, needs_detail: bool = False
@@ -257,10 +246,10 @@ class AskedGroup:
         )
 
 
-def features_of_sun(one: PredictedSun, points: LitPoints) -> np.ndarray | None:
+def features_of_sun(sun: PredictedSun, points: LitPoints) -> np.ndarray | None:
     """What rays have gathered of a sun at points, float32 (N, COLUMNS); None where they have not."""
     gathered = points.suns
-    return None if gathered is None else gathered.mean(points.places, points.group, one.parts, one.shares)
+    return None if gathered is None else gathered.mean(points.places, points.group, sun.parts, sun.shares)
 
 
 def features_of_lamp(lamp: PredictedLamp, cluster: Sequence[int], points: LitPoints) -> np.ndarray | None:
@@ -304,43 +293,34 @@ def solve_transport(
     context: RenderContext,
     scene: PreparedScene,
     channels: Channels,
-    suns: Sequence[int],
     groups: Sequence[int] | None = None,
 ) -> list[ScatteredFluence | None] | None:
-    """Scattered fluence of each group in which multiple scattering is predicted, or of some groups, of some suns.
+    """Scattered fluence of each group in which multiple scattering is predicted, or of some groups, of the suns.
 
-    None for networks that need no ray features, without suns and without multiple scattering. Raises Cancelled.
+    None for networks that read no ray features, without suns and without multiple scattering. Raises Cancelled.
     """
-    network = scene.network
-    wanted = context.settings.multiple and scene.plan.suns
-    if network is None or not network.needs_ray_features or not wanted:
+    if scene.network is None or not (context.settings.multiple and scene.plan.suns):
         return None
-    joined = scene.plan.predicted_suns(suns)
-    of_part = {part: number for number, one in enumerate(joined) for part in one.parts}
-    found: list[ScatteredFluence | None] = [None] * len(scene.groups)
+    joined = scene.plan.predicted_suns()
+    of_part = {part: number for number, predicted in enumerate(joined) for part in predicted.parts}
+    fluences: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
         for g, group in scene.predicted(channels):
             if groups is not None and g not in groups:
                 continue
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             with context.progress.stage("transport", len(joined)):
-                lights = [PlacedSun(one.sun, group.predictor.cube, scene.occluders) for one in joined]
+                lights = [PlacedSun(predicted.sun, group.predictor.cube, scene.occluders) for predicted in joined]
                 fluence = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-            found[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(suns))])
-    return found
+            fluences[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(scene.plan.suns))])
+    return None if all(fluence is None for fluence in fluences) else fluences
 
 
-def prepare_sources(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, view: Sequence[DepthSamples]
-) -> list[Source]:
-    """What tells the light of every group in every light of a pass. Raises Cancelled.
-
-    view: depth samples of all tiles, where lookup lattices are to be built for these alone; empty for those that serve
-    any view.
-    """
+def prepare_sources(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass) -> list[Source]:
+    """What tells the light of every group in every light of a pass. Raises Cancelled."""
     plan, indices = scene.plan, channel_pass.channels.indices
     places = [channel_pass.scattering_place(c) if c in indices else 0 for c in range(3)]
-    sources = prepare_emission(context, scene, channel_pass, places) if channel_pass.first else []
+    sources = prepare_emission(context, scene, channel_pass, places)
     groups = [
         AskedGroup(
             context=context,
@@ -348,17 +328,16 @@ def prepare_sources(
             number=g,
             channels=channel_pass.channels,
             places=places,
-            bounds=functools.partial(lattice_bounds, context, plan.groups[g], view=view),
             camera=scene.camera,
         )
         for g, _ in scene.predicted(channel_pass.channels)
     ]
     with context.report.stage("fields"):
         for group in groups if context.settings.multiple else ():
-            sources += group.suns(channel_pass.suns)
-            if channel_pass.lamps and plan.predicts_lamps:
+            sources += group.suns()
+            if scene.lamps and plan.predicts_lamps:
                 sources += group.lamps()
-        if scene.environment_network is not None and channel_pass.first:
+        if scene.environment_network is not None:
             sources += [group.environments(scene.environments) for group in groups]
     return sources
 
@@ -390,18 +369,3 @@ def prepare_emission(
             )
             sources.append(source)
     return sources
-
-
-def lattice_bounds(
-    context: RenderContext, members: list[int], predictor: VolumePredictor, view: Sequence[DepthSamples]
-) -> Bounds:
-    """Lowest and highest (3,), in the cube's frame, of the points for which lookup lattices are built."""
-    if "unread_fields" not in context.settings.leave_out:
-        return np.full(3, -0.5), np.full(3, 0.5)
-    inside = [(samples, np.flatnonzero(samples.share(members))) for samples in view]
-    # Instances share lattices of the whole.
-    inside = [] if predictor.has_instances else inside
-    bounds = [predictor.bounds(samples.positions(points)) for samples, points in inside if len(points)]
-    if not bounds:
-        return predictor.extent()
-    return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)

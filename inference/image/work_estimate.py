@@ -20,9 +20,8 @@ class WorkEstimate:
     A job is one group of volumes in the light of one sun, or of all environments, in one set of colour channels.
     """
 
-    def __init__(self, context: RenderContext, scene: PreparedScene, passes: int):
-        """passes: in which the whole image is rendered, see ChannelPass."""
-        self._context, self._scene, self._passes = context, scene, passes
+    def __init__(self, context: RenderContext, scene: PreparedScene):
+        self._context, self._scene, self._passes = context, scene, len(scene.plan.channels)
         # By the window of each tile, and of all tiles in all passes; and of those that are finished.
         self._expected: dict[Window, np.ndarray] = {}
         self._all, self._finished = np.zeros((2, 2))
@@ -31,8 +30,7 @@ class WorkEstimate:
         suns = groups * (len(plan.predicted_suns()) + len(plan.lamps) * plan.predicts_lamps)
         # Environments are predicted together.
         self._jobs = suns + groups * bool(scene.environments)
-        needs_fluence = scene.network is not None and scene.network.needs_ray_features
-        progress.expect("transport", self._jobs if needs_fluence else 0)
+        progress.expect("transport", self._jobs)
         progress.expect("lattices", self._jobs)
 
     def survey(self, channel_pass: ChannelPass) -> None:

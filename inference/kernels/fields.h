@@ -202,14 +202,13 @@ typedef struct {
     const float *fraction[3];    /* of the way to the next cell */
 } Refinement;
 
-/* Planes of a lattice that descriptors read: mip_lattices.build_lattices. */
+/* Planes of a lattice that descriptors read: mip_lattices.fill_lattices. */
 typedef struct {
     int64_t shape[3];            /* fine cells */
-    Refinement density, depth, visibility;  /* without values: left out */
+    Refinement density, depth, visibility;  /* density, or depth with or without visibility; others without values */
     double density_scale, density_step;
     double depth_scale, least_visible;
-    uint16_t *packed;            /* (shape, columns) */
-    int64_t columns;
+    uint16_t *packed;            /* (shape) */
     float *scratch;              /* (2, largest shape[2] of the grids) and (shape[2]) */
 } LatticePart;
 

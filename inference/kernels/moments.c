@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Moments of light that has scattered by a wide angle once: inference/transport/wide_light.py explains them. */
+/* Moments of light that has scattered by a wide angle once: inference/source_terms/wide_light.py explains them. */
 
 #include "fields.h"
 #include "lanes.h"

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Photons that scatter within the forward peak: inference/transport/peak_photons.py explains them. */
+/* Photons that scatter within the forward peak: inference/source_terms/peak_photons.py explains them. */
 
 #include <math.h>
 

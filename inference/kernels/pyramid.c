@@ -165,18 +165,18 @@ static inline uint16_t quantum(float x) {
 }
 
 int64_t NAMED(fill_lattice, VARIANT)(const LatticePart *part) {
-    int64_t count = part->shape[2], columns = part->columns;
+    int64_t count = part->shape[2];
     float *row = part->scratch, *visible = row + count, *line = visible + count;
     float scale = (float)part->density_scale, steps = (float)(1.0 / part->density_step);
     for (int64_t i = 0; i < part->shape[0]; i++) {
         for (int64_t j = 0; j < part->shape[1]; j++) {
-            uint16_t *to = part->packed + (i * part->shape[1] + j) * count * columns;
+            uint16_t *to = part->packed + (i * part->shape[1] + j) * count;
             if (part->density.values) {
                 refine_row(&part->density, i, j, count, line, row);
                 for (int64_t k = 0; k < count; k++) {
                     row[k] = log_of(clamped(row[k] * scale + 1.0f, 1.0f, 3e38f)) * steps;
                 }
-                for (int64_t k = 0; k < count; k++) to[k * columns] = quantum(row[k]);
+                for (int64_t k = 0; k < count; k++) to[k] = quantum(row[k]);
             }
             if (!part->depth.values) continue;
             refine_row(&part->depth, i, j, count, line, row);
@@ -186,7 +186,7 @@ int64_t NAMED(fill_lattice, VARIANT)(const LatticePart *part) {
                 refine_row(&part->visibility, i, j, count, line, visible);
                 for (int64_t k = 0; k < count; k++) row[k] *= visible[k] * (1.0f - least_visible) + least_visible;
             }
-            for (int64_t k = 0; k < count; k++) to[k * columns + 1] = quantum(row[k] * 65535.0f);
+            for (int64_t k = 0; k < count; k++) to[k] = quantum(row[k] * 65535.0f);
         }
     }
     return part->shape[0];

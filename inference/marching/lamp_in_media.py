@@ -20,7 +20,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
 from ..scene.emitters import Emitter
 from ..scene.lamps import Lamp
-from ..transport.described_lamps import describe_emitter
+from ..source_terms.described_lamps import describe_emitter
 
 # Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
 ENCLOSED = 12.0

@@ -20,7 +20,7 @@ from ..numerics.quadrature import legendre_nodes
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import Cancelled
 from ..scene.description import Medium
-from ..transport.described_lamps import describe_emitter, describe_shadow_map
+from ..source_terms.described_lamps import describe_emitter, describe_shadow_map
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
@@ -81,6 +81,11 @@ class Marcher:
         self._suns = len(media[0].sun_depths) if media else 0
         self._scene = self._describe(list(channels))
         self._local = threading.local()
+
+    @property
+    def has_lamps(self) -> bool:
+        """Whether light of lamps is gathered."""
+        return self._lamps is not None
 
     @property
     def media(self) -> Sequence[BoundMedium]:

@@ -13,7 +13,7 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.dense_grid import DenseGrid
 from ..numerics.small_matmul import inverse
 from ..runtime.tasks import AnyTasks
-from ..transport.lamp_cells import LampCells, light_in_cells
+from ..source_terms.lamp_cells import LampCells, light_in_cells
 from .lamp_in_media import LampInMedia
 
 # Distance from a lamp, over its reach, from which on its mean depth is used.

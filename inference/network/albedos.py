@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from ..environments.environment_light import read_lattice
 from ..grids.working_cube import Cube
-from ..transport.environment_light import read_lattice
 from ..transport.varying_albedo import between
 
 

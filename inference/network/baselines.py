@@ -4,6 +4,7 @@
 Both are a `System`, under names that no list of networks shows.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..scene.phase_function import henyey_greenstein
+from ..transport.discrete_ordinates import CELLS
+from ..transport.scattered_fluence import ScatteredFluence
 from .conditions import LitConditions, RayPoints
 from .interfaces import Predictor, PreparedPrediction
 from .network import register_system
@@ -34,11 +37,7 @@ class Baseline:
     anisotropy_range = (-1.0, 1.0)
     sigma_hat_range = (0.0, np.inf)
     albedo_range = (0.0, 1.0)
-
-    @property
-    def needs_ray_features(self) -> bool:
-        """Whether it reads the optical depth towards the sun."""
-        return self.name == OCTAVES
+    deviation = None
 
     def predictor(
         self,
@@ -48,7 +47,7 @@ class Baseline:
         cancel: CancelToken = NEVER,
     ) -> "BaselinePredictor":
         """What predicts in one volume; reads nothing of it."""
-        return BaselinePredictor(self.name, anisotropy)
+        return BaselinePredictor(self.name, cube, anisotropy)
 
 
 @dataclass(frozen=True)
@@ -56,18 +55,24 @@ class BaselinePredictor(Predictor):
     """Of a baseline. name: of the baseline."""
 
     name: str
+    cube: Cube
     anisotropy: float
-    respects_surfaces = False
+    respects_surfaces = respects_albedo = False
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedPrediction:
         """What predicts for one sun."""
         return MultiOctave(self.anisotropy, conditions.light.direction) if self.name == OCTAVES else SingleScattering()
 
+    def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence | None:
+        """None scattered: the octaves read the optical depth towards the sun alone."""
+        dark = np.zeros((CELLS, CELLS, CELLS, 4), np.float16)
+        return ScatteredFluence.in_cube(self.cube, [dark] * len(lights), 0.0) if self.name == OCTAVES else None
+
 
 class SingleScattering:
     """No multiple scattering; a `PreparedPrediction`."""
 
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N) of zeros."""
@@ -83,7 +88,7 @@ class MultiOctave:
 
     anisotropy: float
     sun: np.ndarray
-    lattice_cells, scale = 0, 1.0
+    scale = 1.0
 
     def predict(self, points: RayPoints, albedos: np.ndarray) -> np.ndarray:
         """float32 (A, N), octaves from the second on. Raises ValueError without ray features."""

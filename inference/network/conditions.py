@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 import numpy as np
 
 from ..grids.working_cube import Cube
+from ..numerics.alike import alike
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
+from ..source_terms.lamp_beam import CubeCells
+from ..source_terms.nearby_light import NearbyMedium
 from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates
-from ..transport.lamp_beam import CubeCells
-from ..transport.nearby_light import NearbyMedium
 from ..transport.scattered_fluence import FluenceLattice
 
 if TYPE_CHECKING:
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
-# Significant digits to which conditions in instances of a volume have to agree to be the same.
-SAME = 10
-#: Of the whole working cube.
-ANYWHERE: Bounds = (np.full(3, -0.5), np.full(3, 0.5))
 
 
 class PlacedLight(Protocol):
@@ -84,18 +81,13 @@ class NearLight(Protocol):
         """Share of the coarse transport alone in its multiple scattering in a box, 0 to 1."""
 
     def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As `transport.nearby_light`. Raises Cancelled."""
+        """As `source_terms.nearby_light`. Raises Cancelled."""
 
     def soft_start(self, sigma_hat: float, density: FluenceLattice) -> "SoftStart | None":
         """Where the light of a soft falloff starts to be scattered, or None. density: of the coarse cells."""
 
     def at_points(self, nearby: "LampNearby", positions: np.ndarray, depth: np.ndarray) -> "LampAtPoints":
         """Unscattered light at world positions (N, 3); depth: optical (N,), of ray features."""
-
-
-def alike(*values: float) -> tuple[float, ...]:
-    """Numbers rounded to SAME digits, so that they are equal for instances of one volume."""
-    return tuple(float(f"{value:.{SAME}g}") for value in values)
 
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)
@@ -105,23 +97,16 @@ AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)
 class Conditions(Generic[AnyLight]):
     """One optical thickness and one light, in the frame of a volume's working cube.
 
-    sigma_hat: extinction per unit density times the cube's edge. bounds: lowest and highest (3,) of the points to
-    predict at. triangles: (T, 3, 3) of black surfaces, in the cube's frame, or None. occluders: `Occluders.key` of
-    those that triangles and the light's shadows stand for. albedo: for which the coarse transport alone is the light,
-    None where networks predict it.
+    sigma_hat: extinction per unit density times the cube's edge. triangles: (T, 3, 3) of black surfaces, in the cube's
+    frame, or None. occluders: `Occluders.key` of those that triangles and the light's shadows stand for. albedo: for
+    which the coarse transport alone is the light, None where networks predict it.
     """
 
     sigma_hat: float
     light: AnyLight
-    bounds: Bounds = ANYWHERE
     triangles: np.ndarray | None = None
     occluders: bytes = b""
     albedo: float | None = None
-
-    @property
-    def bounds_key(self) -> tuple[float, ...]:
-        """Equal for conditions with equal lattices of the density, in any instance of a volume."""
-        return alike(self.sigma_hat, *self.bounds[0], *self.bounds[1])
 
     @property
     def key(self) -> Hashable:

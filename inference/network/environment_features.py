@@ -17,9 +17,9 @@ number of colours costs one evaluation.
 
 import numpy as np
 
+from ..environments.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
 from ..numerics.small_matmul import product
 from ..scene.phase_function import reduced_anisotropy
-from ..transport.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
 
 #: Scale of extinction at which the mean direction of what is open is taken.
 OPEN_SCALE = 0.3
@@ -149,16 +149,16 @@ def seldom_scattered(light: np.ndarray, absorbed: np.ndarray, omega: np.ndarray)
     the same in absorbing media, the last channel of even light. omega: (N, 3).
     """
     along = np.einsum("npakc,nk->npac", absorbed[:, :, :, 1:], omega)
-    found, evens = [], []
+    fluences, evens = [], []
     for a in range(len(ALBEDOS)):
         for probe, factor in SELDOM:
-            part = absorbed[:, probe, a, 0] - np.float32(factor) * along[:, probe, a]
-            even = part[:, -1:]
+            seldom = absorbed[:, probe, a, 0] - np.float32(factor) * along[:, probe, a]
+            even = seldom[:, -1:]
             # Of light that hardly anything is left of, only the coarse transport's error is.
-            share = np.maximum(even, 0.0) / (np.abs(even) + LEAST)
-            found.append((share * part[:, :-1] + LEAST * light[:, probe, 0]) / (share * even + LEAST))
+            scale = np.maximum(even, 0.0) / (np.abs(even) + LEAST)
+            fluences.append((scale * seldom[:, :-1] + LEAST * light[:, probe, 0]) / (scale * even + LEAST))
             evens.append(even)
-    return np.stack(found, axis=1), np.concatenate(evens, axis=1)
+    return np.stack(fluences, axis=1), np.concatenate(evens, axis=1)
 
 
 def candidates(

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..environments.blurred_environment import read_image
+from ..environments.environment_light import ALBEDOS, Skies, read_lattice
+from ..environments.open_depths import OpenDepths
 from ..features.descriptors import FieldLookup, distinct_rows
 from ..grids.working_cube import Cube
-from ..transport.blurred_environment import read_image
-from ..transport.environment_light import ALBEDOS, Skies, read_lattice
-from ..transport.open_depths import OpenDepths
 from .conditions import RayPoints
 from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
 from .provider import SmallNetwork
@@ -74,7 +74,7 @@ class PreparedEnvironment:
         positions, omega = points.positions, points.directions
         first, view = distinct_rows(omega)
         count, channels = len(positions), self.radiance.shape[1] // shares.shape[1]
-        density = self.lookup(positions, omega[first], view, points.jitter)[:, : self.low, 0]
+        density = self.lookup(positions, omega[first], view, points.jitter)[:, : self.low]
         depths = self.depths(positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
         probes = probe_positions(positions, omega, depths, self.sigma_hat)
@@ -86,8 +86,8 @@ class PreparedEnvironment:
         ahead = _reaching(read_image(self.blurred, omega[first])[view], shares)
         open_to = _reaching(opened.radiance(self.radiance), shares)
         radiances = candidates(ahead, open_to, light, seldom, omega, self.anisotropy)
-        found = self.network.run(x, radiances, albedos)
-        return np.maximum(found, np.float32(0.0)).transpose(1, 0, 2)
+        predicted = self.network.run(x, radiances, albedos)
+        return np.maximum(predicted, np.float32(0.0)).transpose(1, 0, 2)
 
 
 def _reaching(radiance: np.ndarray, shares: np.ndarray) -> np.ndarray:

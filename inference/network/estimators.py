@@ -7,7 +7,6 @@ transport, and then asked at points.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -89,10 +88,6 @@ class Estimator(Protocol):
     def uncertainty(self) -> UncertaintyNetwork | None:
         """What tells the error from point to point, or None."""
 
-    def ready(self) -> "Estimator":
-        """The same, to be asked on several threads, with all that it reads. Raises Cancelled."""
-        return self
-
     def predict(self, points: LitPoints) -> np.ndarray:
         """What is predicted at points, (A, N, ...), for `radiance` and `deviation`."""
 
@@ -112,24 +107,17 @@ class Estimator(Protocol):
 class LightEstimator:
     """Of a light that the network for suns predicts; an `Estimator`.
 
-    strength: (3,), irradiance or power. prepare: makes the predictor, for a strength of 1. features: what rays have
-    gathered of the light at points, float32 (N, COLUMNS). turn: in which directions it sees rays. holds: whether the
-    predictor is kept; those with large lookup lattices are made anew each time.
+    strength: (3,), irradiance or power. predictor: for a strength of 1. features: what rays have gathered of the light
+    at points, float32 (N, COLUMNS). turn: in which directions it sees rays.
     """
 
     strength: np.ndarray
     albedos: Albedos
-    prepare: Callable[[], RadiancePredictor]
+    predictor: RadiancePredictor
     features: Callable[[LitPoints], np.ndarray | None]
     turn: Turn
     uncertainty: UncertaintyNetwork | None = None
-    holds: bool = True
     coloured = needs_depths = False
-
-    @cached_property
-    def predictor(self) -> RadiancePredictor:
-        """What predicts for a strength of 1."""
-        return self.prepare()
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -140,12 +128,6 @@ class LightEstimator:
     def answers(self) -> int:
         """One for each albedo."""
         return len(self.albedos.values)
-
-    def ready(self) -> "LightEstimator":
-        """As of Estimator."""
-        found = self if self.holds else replace(self, holds=True)
-        assert found.predictor is not None
-        return found
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance float32 (A, N) of each albedo."""
@@ -165,8 +147,8 @@ class LightEstimator:
         assert self.uncertainty is not None
         # Several channels may have one albedo.
         different = dict(zip(self.albedos.values, predicted))
-        found = self.predictor.deviation(self.uncertainty, self._asked(points), different)
-        relative: np.ndarray = found[[list(different).index(albedo) for albedo in self.albedos.values]]
+        deviations = self.predictor.deviation(self.uncertainty, self._asked(points), different)
+        relative: np.ndarray = deviations[[list(different).index(albedo) for albedo in self.albedos.values]]
         return relative * predicted
 
     def light_ahead(self, points: LitPoints) -> np.ndarray | None:
@@ -213,11 +195,11 @@ class EnvironmentEstimator(Estimator):
 
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""
-        found = {}
+        told = {}
         for c, row in self.albedos.by_channel(predicted[1:], points.positions, points.directions):
             colour = c if self.coloured else 0
-            found[True, c], found[False, c] = predicted[0, :, colour], row[:, colour]
-        return found
+            told[True, c], told[False, c] = predicted[0, :, colour], row[:, colour]
+        return told
 
 
 @dataclass(frozen=True)

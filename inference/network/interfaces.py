@@ -10,10 +10,24 @@ from ..grids.working_cube import Cube
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
+from ..transport.discrete_ordinates import DiscreteOrdinates
 from ..transport.scattered_fluence import ScatteredFluence
-from .conditions import LitConditions, RayPoints
+from ..transport.varying_albedo import CoarseAlbedo
+from .conditions import Conditions, LitConditions, PlacedLight, RayPoints
+from .environment_network import EnvironmentNetwork, PreparedEnvironment
+from .lamp_nearby import LampNearby
+from .placed_lights import PlacedSkies
 
-#: What a network reads points around a point of: a stencil or a lattice.
+
+class Points(Protocol):
+    """Points around x that a network reads: a stencil or a lattice."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of their bytes."""
+
+
+#: What a network reads points around a point of.
 Around = TypeVar("Around", covariant=True)
 
 
@@ -47,8 +61,8 @@ class System(Protocol):
         """SHA-256 of its weights, "" without any."""
 
     @property
-    def needs_ray_features(self) -> bool:
-        """Whether predictions need RayFeatures."""
+    def deviation(self) -> float | None:
+        """Standard deviation of the relative error of its predictions, where it has been measured."""
 
     @property
     def anisotropy_range(self) -> tuple[float, float]:
@@ -79,13 +93,17 @@ class Predictor(Protocol):
     def respects_surfaces(self) -> bool:
         """Whether predictions take occluders into account."""
 
+    @property
+    def respects_albedo(self) -> bool:
+        """Whether predictions take an albedo into account that varies in the volume."""
+
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> "PreparedPrediction":
         """What predicts under these conditions. Raises Cancelled."""
 
     def fluence(self, lights: Sequence[LitConditions], tasks: AnyTasks = SERIAL) -> ScatteredFluence | None:
-        """Scattered light of several lights for lookups along camera rays, or None. Raises Cancelled.
+        """Scattered light of several lights for lookups along camera rays; None where no ray features are read.
 
-        Only asked for by systems that need ray features.
+        Raises Cancelled.
         """
         return None
 
@@ -94,12 +112,38 @@ class Predictor(Protocol):
         return self
 
 
-class PreparedPrediction(Protocol):
-    """Predictions under certain conditions. Immutable and safe on several threads."""
+class EveryLightPredictor(Predictor, Protocol):
+    """A Predictor for every kind of light. Methods raise Cancelled."""
 
     @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices, for the report."""
+    def coarse(self) -> np.ndarray:
+        """Density of the volume on the cells of the coarse transport."""
+
+    def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
+        """Solver of the transport without surfaces, on cells twice as large."""
+
+    def nearby(
+        self, conditions: LitConditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL
+    ) -> LampNearby:
+        """The transport of a near light for some albedos; share: as in LampNearby."""
+
+    def prepare_environment(
+        self,
+        network: EnvironmentNetwork,
+        conditions: Conditions[PlacedSkies],
+        thickness: float,
+        tasks: AnyTasks = SERIAL,
+    ) -> PreparedEnvironment:
+        """What predicts the light of environments; thickness: optical, of the cube at the largest density."""
+
+    def varying_albedo(
+        self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL
+    ) -> tuple[CoarseAlbedo, np.ndarray]:
+        """The albedo of a volume in which it varies, and its `CoarseAlbedo.places` in a light."""
+
+
+class PreparedPrediction(Protocol):
+    """Predictions under certain conditions. Immutable and safe on several threads."""
 
     @property
     def scale(self) -> float:

@@ -3,7 +3,7 @@
 
 Networks have learnt the light of suns, which enters a volume from outside and is as bright everywhere. That of a lamp
 nearby is not: it falls with the square of the distance, comes from all around, and how much of it an albedo below 1
-leaves does not follow from the transport for albedo 1 that networks read. `transport.nearby_light` solves it for the
+leaves does not follow from the transport for albedo 1 that networks read. `source_terms.nearby_light` solves it for the
 true albedo, in two parts that scatter towards the camera in different ways.
 
 Light that has scattered within the phase function's forward peak alone has a fluence S and a flux F. Seen from the side
@@ -48,8 +48,8 @@ from ..kernels.library import call
 from ..numerics.quadrature import legendre_nodes
 from ..numerics.spherical_harmonics import DEGREES
 from ..scene.phase_function import reduced_anisotropy
-from ..transport.forward_peak import MIN_FORWARD
-from ..transport.lamp_beam import directions_to
+from ..source_terms.forward_peak import MIN_FORWARD
+from ..source_terms.lamp_beam import directions_to
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
 
@@ -103,11 +103,11 @@ class Way:
         if anisotropy < 0.0:
             return [anisotropy**order for order in range(count)]
         step = np.exp(self.parts * np.log(max(anisotropy, 1e-30)))
-        found, moments = [], self.matter
+        depths, moments = [], self.matter
         for _ in range(count):
-            found.append(moments.sum(axis=0))
+            depths.append(moments.sum(axis=0))
             moments = moments * step
-        return found
+        return depths
 
 
 @dataclass(frozen=True)
@@ -140,12 +140,12 @@ class SoftStart:
         """Optical depth (N,) of the ways from a lamp (3,) to points (N, 3); in proportion to the density on them."""
         ways = points - lamp
         distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-30)
-        share = np.minimum(FIRST_PART * self.radius / distance, 1.0)
-        places = lamp + ((0.5 + 0.5 * legendre_nodes(2)[0])[:, None, None] * share[:, None]) * ways
+        weight = np.minimum(FIRST_PART * self.radius / distance, 1.0)
+        places = lamp + ((0.5 + 0.5 * legendre_nodes(2)[0])[:, None, None] * weight[:, None]) * ways
         mean = density.values(places.reshape(-1, 3)).reshape(places.shape[:2]).mean(axis=0)
-        place = distance / (distance + self.radius) * (NODES - 1)
+        node = distance / (distance + self.radius) * (NODES - 1)
         more = np.clip(mean / max(self.around, 1e-30), 0.0, EXCESS_MOST)
-        return more * np.interp(place, np.arange(NODES), self.depths)
+        return more * np.interp(node, np.arange(NODES), self.depths)
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,8 @@ class LampNearby:
         (light, scale), g = self.lights[albedo], self.anisotropy
         if g**2 < MIN_FORWARD:
             moments = light.values(positions) * np.float32(scale)
-            found = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
-            return np.maximum(found, LEAST / (4.0 * np.pi) * moments[:, 0])
+            scattered = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
+            return np.maximum(scattered, LEAST / (4.0 * np.pi) * moments[:, 0])
         out = np.empty(len(positions), np.float32)
         call(
             "scatter_nearby",

@@ -1,49 +1,68 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Networks by name: their weights files, checksums and inference.
 
-Systems registered with `register_system` take the place of a network; `interfaces.System` says what they provide.
+A weights file states the kind of its network, which `register_kind` makes known. Systems registered with
+`register_system` take the place of a network; `interfaces.System` says what they provide.
 """
 
 import base64
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ..grids.working_cube import Cube
+from ..models import weights_file
+from ..models.abilities import SUNS_ALONE, Abilities, declare_kind, declare_system
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from ..scene.errors import SceneError
-from . import weights_file
-from .interfaces import Predictor, System
-from .lattice_predictor import LatticePredictor
+from .interfaces import Points, Predictor, System
 from .provider import open_session
-from .stencil_predictor import RayPredictor, StencilPredictor
 
-# What reads a volume for a network, by the kind that its weights file states.
-KINDS: dict[str, type[StencilPredictor] | type[LatticePredictor]] = {
-    "stencil": StencilPredictor,
-    "ray": RayPredictor,
-    "lattice": LatticePredictor,
-}
+
+@dataclass(frozen=True)
+class Kind:
+    """How networks of a kind read volumes.
+
+    read_points: their points around x, of the floats of a weights file. predictor: makes what reads a volume, from a
+    network, a volume, its cube and its anisotropy. abilities: of these networks. deviations: standard deviations of
+    their relative error by name, of those where it has been measured.
+    """
+
+    read_points: Callable[[np.ndarray], Points]
+    predictor: Callable[["Network", Volume, Cube, float, CancelToken], Predictor]
+    abilities: Abilities = SUNS_ALONE
+    deviations: Mapping[str, float] = field(default_factory=dict)
+
 
 # Points per call are padded to a multiple of this, which is a multiple of the vector width of any processor.
 POINT_MULTIPLE = 16
 
+_kinds: dict[str, Kind] = {}
 _systems: dict[str, Callable[[], System]] = {}
 _unlisted: set[str] = set()
 
 
-def register_system(name: str, factory: Callable[[], System], listed: bool = True) -> None:
+def register_kind(name: str, kind: Kind) -> None:
+    """Let weights files state a kind of networks."""
+    _kinds[name] = kind
+    declare_kind(name, kind.abilities)
+
+
+def register_system(
+    name: str, factory: Callable[[], System], listed: bool = True, abilities: Abilities = SUNS_ALONE
+) -> None:
     """Let Settings.model name a system without a weights file; factory() makes it.
 
     listed: whether `available_models` names it.
     """
     _systems[name] = factory
+    declare_system(name, abilities)
     if not listed:
         _unlisted.add(name)
 
@@ -57,13 +76,13 @@ def available_models() -> list[str]:
 class Network:
     """A loaded network with the points around x that it was trained with; a `System`.
 
-    session: of `open_session`. kind: of KINDS. points: the network's stencil or lattice, from the weights file.
+    session: of `open_session`. kind: that its file states. points: the network's stencil or lattice, of the file.
     configuration: of the training. checksum: SHA-256 of the file. provider: execution provider that runs it. warnings:
     why that is not the one asked for. lock: held while it runs, for providers that do not support concurrent calls.
     """
 
     session: Any
-    kind: type[StencilPredictor] | type[LatticePredictor]
+    kind: Kind
     points: Any
     configuration: dict[str, Any]
     checksum: str
@@ -73,9 +92,9 @@ class Network:
     lock: contextlib.AbstractContextManager[Any] = field(default_factory=contextlib.nullcontext)
 
     @property
-    def needs_ray_features(self) -> bool:
-        """Whether `predict` needs the light along camera rays."""
-        return self.kind.needs_ray_features
+    def deviation(self) -> float | None:
+        """As of System."""
+        return self.kind.deviations.get(self.name)
 
     @property
     def anisotropy_range(self) -> tuple[float, float]:
@@ -103,7 +122,7 @@ class Network:
         cancel: CancelToken = NEVER,
     ) -> Predictor:
         """What reads one volume for this network. Raises Cancelled."""
-        return self.kind(self, volume, cube, anisotropy, cancel)
+        return self.kind.predictor(self, volume, cube, anisotropy, cancel)
 
     def run(self, **inputs: np.ndarray) -> np.ndarray:
         """Multiple-scattered radiance for a sun of irradiance 1: float32 (A, N), >= 0.
@@ -149,13 +168,14 @@ def load_network(name: str, provider: str = "CPU") -> System:
         opened = open_session(content, provider)
         session = opened.session
         metadata = session.get_modelmeta().custom_metadata_map
-        kind = metadata["kind"]
-        points = KINDS[kind].read_points(np.frombuffer(base64.b64decode(metadata["points"]), "<f4"))
+        stated = metadata["kind"]
+        kind = _kinds[stated]
+        points = kind.read_points(np.frombuffer(base64.b64decode(metadata["points"]), "<f4"))
         configuration = json.loads(metadata["configuration"])
         promised = metadata["points_sha256"]
         network = Network(
             session,
-            KINDS[kind],
+            kind,
             points,
             configuration,
             hashlib.sha256(content).hexdigest(),
@@ -172,5 +192,5 @@ def load_network(name: str, provider: str = "CPU") -> System:
     except Exception as error:  # onnxruntime raises types of its own, all of which mean an unusable file
         raise SceneError(f"the weights of {name!r} cannot be read ({error}); reinstall the extension") from error
     if points.digest != promised:
-        raise SceneError(f"the weights of {name!r} and their {kind} do not belong together; reinstall the extension")
+        raise SceneError(f"the weights of {name!r} and their {stated} do not belong together; reinstall the extension")
     return network

@@ -7,24 +7,25 @@ from functools import cached_property
 
 import numpy as np
 
+from ..environments.environment_light import Skies, image_in_frame, ordinate_radiance
 from ..features.final_gather import shadowed_depth, unit_sun_depth
 from ..grids.lamp_optical_depth import DIRECTIONS, RADII
 from ..grids.sphere_depth import start_depths
 from ..grids.working_cube import Cube
 from ..marching.joined_lamps import PredictedLamp
 from ..marching.lamp_in_media import softened
+from ..numerics.alike import alike_vector
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Sun
 from ..scene.environment import Environment
-from ..transport.cell_sources import EnteringLight, LampBeam, SunBeam
+from ..source_terms.cell_sources import EnteringLight, LampBeam, SunBeam
+from ..source_terms.lamp_beam import CubeCells, LampInCube, directions_to
+from ..source_terms.nearby_light import NearbyMedium, nearby_light
 from ..transport.discrete_ordinates import DiscreteOrdinates
-from ..transport.environment_light import Skies, image_in_frame, ordinate_radiance
-from ..transport.lamp_beam import CubeCells, LampInCube, directions_to
-from ..transport.nearby_light import NearbyMedium, nearby_light
 from ..transport.scattered_fluence import FluenceLattice
-from .conditions import SAME, Bounds
+from .conditions import Bounds
 from .lamp_nearby import LampAtPoints, LampNearby, SoftStart, transport_share
 
 # Sample points along an edge of a cell of the coarse transport for the visibility of the sun.
@@ -45,7 +46,7 @@ class PlacedSun:
     @property
     def key(self) -> Hashable:
         """As of PlacedLight."""
-        direction = tuple(np.round(self.direction, SAME) + 0.0)
+        direction = alike_vector(self.direction)
         if self.shadow_map is None and not self.sun.screen_key:
             return direction
         return direction, self.sun.screen_key, self.cube.key
@@ -58,8 +59,8 @@ class PlacedSun:
     @cached_property
     def shadow_map(self) -> ShadowMap | None:
         """As of PredictedLight."""
-        found = self.occluders.shadow_map(self.sun)
-        return found and found.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
+        world_map = self.occluders.shadow_map(self.sun)
+        return world_map and world_map.transformed(self.cube.rotation * self.cube.edge, self.cube.centre)
 
     def source(self, cells: int) -> SunBeam:
         """As of PlacedLight."""

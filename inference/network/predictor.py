@@ -4,11 +4,12 @@
 import threading
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
-from ..grids.working_cube import Cube, fit_cube
+from ..environments.surface_irradiance import SurfaceIrradiance
+from ..grids.working_cube import Cube, extent, fit_cube
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken
@@ -20,14 +21,12 @@ from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CELLS
 from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import ScatteredFluence
-from ..transport.surface_irradiance import SurfaceIrradiance
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
-from .conditions import ANYWHERE, Bounds, Conditions, PlacedLight, PredictedLight
+from .conditions import Conditions, PlacedLight, PredictedLight
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import System
+from .interfaces import EveryLightPredictor, System
 from .placed_lights import PlacedSkies
 from .prepared_predictors import NearbyPredictor, PreparedPredictor, RadiancePredictor
-from .stencil_predictor import RayPredictor
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight)
 
@@ -65,51 +64,49 @@ class VolumePredictor:
     ):
         self.network, self.volume = network, volume
         self.cube, self.requested_anisotropy = cube or fit_cube(volume), anisotropy
+        self.extent = extent(volume, self.cube)
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
-        self.has_instances: bool = like is not None
         if like is None:
             self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         else:
             self._predictor = like._predictor.at(self.cube)
-            like.has_instances = True
         self._lock = threading.Lock()
         # The last of each class of light.
         self._last: dict[type, tuple[Hashable, RadiancePredictor]] = {}
 
     @property
-    def _rays(self) -> RayPredictor:
-        """What reads the volume for a network that needs ray features."""
-        assert isinstance(self._predictor, RayPredictor)
-        return self._predictor
+    def _every_light(self) -> EveryLightPredictor:
+        """What reads the volume for a network that predicts every kind of light."""
+        return cast(EveryLightPredictor, self._predictor)
 
     def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
         """Properties of a medium and of occluders that the network does not support.
 
         name: of the volume, for the messages.
         """
-        found, network = [], self.network
+        texts, network = [], self.network
         if occluders and not self._predictor.respects_surfaces:
-            found.append(f"{name}: the network {network.name} does not account for surfaces")
+            texts.append(f"{name}: the network {network.name} does not account for surfaces")
         if self.anisotropy != medium.anisotropy:
-            found.append(
+            texts.append(
                 f"{name}: anisotropy {medium.anisotropy:g} is outside the network's range; "
                 f"multiple scattering uses {self.anisotropy:g}"
             )
         for albedo, _ in distinct_albedos(medium, [0, 1, 2]):
             used = float(np.clip(albedo, *network.albedo_range))
             if used != albedo:
-                found.append(
+                texts.append(
                     f"{name}: albedo {albedo:g} is outside the network's range; multiple scattering uses {used:g}"
                 )
-        if self.volume.scattering is not None and not network.needs_ray_features:
-            found.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
+        if self.volume.scattering is not None and not self._predictor.respects_albedo:
+            texts.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
         peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
         if peak > most:
-            found.append(
+            texts.append(
                 f"{name}: optical thickness {peak:.3g} exceeds the network's range of {most:g}; "
                 "multiple scattering is less accurate"
             )
-        return found
+        return texts
 
     def peak_sigma_hat(self, sigma_t: float) -> float:
         """Optical thickness of the working cube at the largest density."""
@@ -122,24 +119,12 @@ class VolumePredictor:
         thickness = BEYOND_THICKNESS * np.log(max(1.0 / self._used(sigma_t), 1.0))
         return float(np.hypot(thickness, BEYOND_ANISOTROPY * np.log(known / max(asked, 1e-3))))
 
-    def bounds(self, positions: np.ndarray) -> Bounds:
-        """Lowest and highest coordinates (3,), in the cube's frame, of world positions (N, 3)."""
-        points = self.cube.positions(positions)
-        return points.min(axis=0), points.max(axis=0)
-
-    def extent(self) -> Bounds:
-        """As `bounds`, of all points at which the density is above 0."""
-        ends = zip(self.cube.low - 1.0, self.cube.high * 1.0)
-        corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1)
-        matrix = self.volume.world_from_index
-        return self.bounds((matrix[:3, :3] @ corners + matrix[:3, 3:]).T)
-
     def taken_area(self, sigma_t: float) -> tuple[float, float]:
         """Area across a beam of what the volume takes of its light, and its optical depth if it were a slab.
 
         Means over the axes of its cube.
         """
-        coarse = self._rays.coarse
+        coarse = self._every_light.coarse
         depths = np.concatenate([sigma_t * self.cube.edge * coarse.mean(axis=axis).ravel() for axis in range(3)])
         taken = float(-np.expm1(-depths.astype(np.float64)).mean())
         slabs = np.geomspace(1e-3, 1e3, 200)
@@ -150,28 +135,24 @@ class VolumePredictor:
         self, positions: np.ndarray, normals: np.ndarray, sigma_t: float, albedo: float
     ) -> SurfaceIrradiance:
         """Of world positions (N, 3) with normals (N, 3), by the coarse transport for an extinction and an albedo."""
-        solver = self._rays.coarser_solver(sigma_t * self.cube.edge, albedo)
+        solver = self._every_light.coarser_solver(sigma_t * self.cube.edge, albedo)
         return SurfaceIrradiance(solver, self.cube, positions, normals)
 
     def prepare(
         self,
         sigma_t: float,
         light: PredictedLight,
-        bounds: Bounds,
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> RadiancePredictor:
-        """What predicts for one extinction and light.
-
-        bounds: of the points to predict at, from `bounds`. Raises Cancelled.
-        """
-        key = (sigma_t, light.key, *light.albedos, *bounds[0], *bounds[1], occluders.key)
+        """What predicts for one extinction and light. Raises Cancelled."""
+        key = (sigma_t, light.key, *light.albedos, occluders.key)
         with tasks.cancel.locked(self._lock):
             if type(light) in self._last and self._last[type(light)][0] == key:
                 return self._last[type(light)][1]
             # Released before preparing a new one.
             self._last.pop(type(light), None)
-            conditions = self._conditions(sigma_t, light, bounds, occluders)
+            conditions = self._conditions(sigma_t, light, occluders)
             share, network = self.transport_share(light), None
             if share < 1.0:
                 peak = max(henyey_greenstein(1.0, self.anisotropy), henyey_greenstein(-1.0, self.anisotropy))
@@ -184,16 +165,16 @@ class VolumePredictor:
                     most=np.float32(MAX_FLUENCE * peak),
                     outside=self.outside(sigma_t),
                 )
-            found: RadiancePredictor | None = network
+            prepared: RadiancePredictor | None = network
             if light.near and share > 0.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
-                nearby = self._rays.nearby(conditions, light.albedos, share, self.extent(), tasks)
-                found = NearbyPredictor(
+                nearby = self._every_light.nearby(conditions, light.albedos, share, tasks)
+                prepared = NearbyPredictor(
                     nearby=nearby, light=light.near, cube=self.cube, network=network, outside=self.outside(sigma_t)
                 )
-            assert found is not None
-            self._last[type(light)] = key, found
-            return found
+            assert prepared is not None
+            self._last[type(light)] = key, prepared
+            return prepared
 
     def fluence(
         self,
@@ -202,14 +183,13 @@ class VolumePredictor:
         occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> ScatteredFluence | None:
-        """Scattered light of lights for lookups along camera rays. Raises Cancelled.
+        """As of `Predictor`: what networks read, for albedo 1.
 
-        That which networks read, for albedo 1; where they do not predict it, that for the largest albedo. Only for
-        networks that need ray features.
+        Where they do not predict it, that for the largest albedo. Raises Cancelled.
         """
         asked = []
         for light in lights:
-            conditions = self._conditions(sigma_t, light, ANYWHERE, occluders)
+            conditions = self._conditions(sigma_t, light, occluders)
             if light.albedos and self.transport_share(light) >= 1.0:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge, albedo=max(light.albedos))
             asked.append(conditions)
@@ -220,16 +200,15 @@ class VolumePredictor:
         network: EnvironmentNetwork,
         environments: Sequence[Environment],
         sigma_t: float,
-        bounds: Bounds,
         tasks: AnyTasks = SERIAL,
     ) -> PreparedEnvironment:
         """What predicts the light of environments for one extinction. Raises Cancelled.
 
-        network: beside this one. bounds: of the points to predict at, from `bounds`.
+        network: beside this one.
         """
-        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), bounds, NO_OCCLUDERS)
+        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), NO_OCCLUDERS)
         thickness = max(self.peak_sigma_hat(sigma_t), 1e-30)
-        return self._rays.prepare_environment(network, conditions, thickness, tasks)
+        return self._every_light.prepare_environment(network, conditions, thickness, tasks)
 
     def albedos(
         self,
@@ -245,10 +224,10 @@ class VolumePredictor:
 
         optimizations: those in use.
         """
-        if self.volume.scattering is None or not self.network.needs_ray_features:
+        if self.volume.scattering is None or not self._predictor.respects_albedo:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
-        conditions = self._conditions(sigma_t, light, ANYWHERE, occluders)
-        coarse, places = self._rays.varying_albedo(conditions, tasks)
+        conditions = self._conditions(sigma_t, light, occluders)
+        coarse, places = self._every_light.varying_albedo(conditions, tasks)
         ahead = self.anisotropy * mean_free_path(coarse.density, conditions.sigma_hat)
         return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
 
@@ -259,14 +238,12 @@ class VolumePredictor:
 
     def transport_share(self, light: PredictedLight) -> float:
         """Share of the coarse transport alone in a light's multiple scattering, 0 to 1."""
-        return light.near.transport_share(self.extent()) if light.near else 0.0
+        return light.near.transport_share(self.extent) if light.near else 0.0
 
-    def _conditions(
-        self, sigma_t: float, light: AnyLight, bounds: Bounds, occluders: Occluders
-    ) -> Conditions[AnyLight]:
+    def _conditions(self, sigma_t: float, light: AnyLight, occluders: Occluders) -> Conditions[AnyLight]:
         triangles = self.cube.positions(occluders.triangles) if occluders else None
         sigma_hat = sigma_t * self.cube.edge * (1.0 if light.any_thickness else self._used(sigma_t))
-        return Conditions(sigma_hat, light, bounds, triangles, occluders.key)
+        return Conditions(sigma_hat, light, triangles, occluders.key)
 
     def _used(self, sigma_t: float) -> float:
         """Ratio of the optical thickness within the network's range to the true one."""

@@ -26,10 +26,6 @@ class RadiancePredictor(Protocol):
     def alone(self) -> bool:
         """Whether the coarse transport alone is the light, which varies along rays as that of a lamp close by."""
 
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices; 0 where there are none."""
-
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """Radiance float32 (A, N) at points of the world, for A albedos."""
 
@@ -56,11 +52,6 @@ class PreparedPredictor:
     most: np.float32
     outside: float
     alone = False
-
-    @property
-    def lattice_cells(self) -> int:
-        """As of RadiancePredictor."""
-        return self.prediction.lattice_cells
 
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """As of RadiancePredictor."""
@@ -108,27 +99,22 @@ class NearbyPredictor:
         """As of RadiancePredictor."""
         return self.network is None
 
-    @property
-    def lattice_cells(self) -> int:
-        """As of RadiancePredictor."""
-        return self.network.lattice_cells if self.network else 0
-
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
         """As of RadiancePredictor; the ray features are those of `march_lamps`."""
         assert points.ray_features is not None
         asked, nearby = points.in_cube(self.cube), self.nearby
         light = self.light.at_points(nearby, points.positions, points.ray_features[:, 0])
         each = [nearby.radiance(albedo, asked.positions, asked.directions, light) for albedo in albedos]
-        found = np.stack(each).astype(np.float32)
+        told = np.stack(each).astype(np.float32)
         if self.network is not None:
-            found *= nearby.share
-            found += (1.0 - nearby.share) * self.network.predict(points, albedos)
-        return found
+            told *= nearby.share
+            told += (1.0 - nearby.share) * self.network.predict(points, albedos)
+        return told
 
     def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:
         """As of RadiancePredictor."""
         share = self.nearby.share
-        found = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
+        deviations = np.full((len(radiance), len(points)), share * NEARBY_DEVIATION, np.float32)
         if self.network is not None:
-            found += np.float32(1.0 - share) * self.network.within(network, points, radiance)
-        return np.hypot(found, np.float32(self.outside))
+            deviations += np.float32(1.0 - share) * self.network.within(network, points, radiance)
+        return np.hypot(deviations, np.float32(self.outside))

@@ -17,7 +17,7 @@ from .uncertainty import Predicted, UncertaintyNetwork, deviations
 
 @dataclass(frozen=True)
 class PreparedRays:
-    """A `stencil_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`.
+    """A `ray_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`.
 
     source: the light. light: what of it has scattered, over `scale`. gather: gives what gathers its unscattered light,
     over `most`. ahead: distance along camera rays at which its direction is taken: a forward phase function scatters
@@ -80,8 +80,3 @@ class PreparedRays:
             "anisotropy": np.full(gamma.shape, self.anisotropy, np.float32),
             "gamma": gamma,
         }
-
-    @property
-    def lattice_cells(self) -> int:
-        """Cells of the lookup lattices."""
-        return self.lookup.lattices.values.size

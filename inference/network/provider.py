@@ -13,9 +13,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..models.weights_file import read_weights
 from ..onnx.session import Session
 from ..scene.errors import SceneError
-from .weights_file import read_weights
 
 # By the names in Settings. The shipped onnxruntime has CPU alone, and CoreML on macOS.
 PROVIDERS = {
@@ -87,11 +87,11 @@ def open_session(content: bytes, provider: str) -> OpenedSession:
 def load_onnxruntime() -> ModuleType | None:
     """The module onnxruntime; None where it is missing, cannot be loaded or is too old."""
     try:
-        found = importlib.import_module("onnxruntime")
+        module = importlib.import_module("onnxruntime")
     except Exception:  # A package may raise anything.
         return None
     # A folder of that name is a module, too.
-    return found if hasattr(found, "InferenceSession") and is_recent(getattr(found, "__version__", "0")) else None
+    return module if hasattr(module, "InferenceSession") and is_recent(getattr(module, "__version__", "0")) else None
 
 
 def is_recent(version: str) -> bool:
@@ -120,8 +120,8 @@ def _difference(session: Any, processor: Any) -> str:
         inputs[asked.name] = random.random(shape, np.float32)
         if "int32" in asked.type:
             inputs[asked.name] = np.arange(TRIAL_POINTS, dtype=np.int32)
-    found, expected = (one.run(["radiance"], inputs)[0].astype(np.float64) for one in (session, processor))
-    error = np.sqrt(((found - expected) ** 2).mean() / (expected**2).mean())
+    results, expected = (runner.run(["radiance"], inputs)[0].astype(np.float64) for runner in (session, processor))
+    error = np.sqrt(((results - expected) ** 2).mean() / (expected**2).mean())
     return "" if error <= TOLERANCE else f"its results differ from the processor's by {error:.1%}"
 
 

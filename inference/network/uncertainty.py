@@ -9,10 +9,10 @@ import numpy as np
 from ..features.stencil import LAYER_POINTS, SPARSE
 from ..marching import ray_features
 from ..marching.ray_features import MAX_TAU_AHEAD, MAX_TAU_SUN
+from ..models.weights_file import WEIGHTS
 from ..scene.phase_function import henyey_greenstein
 from ..transport import scattered_fluence
 from .provider import SmallNetwork
-from .weights_file import WEIGHTS
 
 # Folder of these networks' weights; each has the name of the network whose error it tells.
 FOLDER = "uncertainty"
@@ -80,11 +80,11 @@ def deviations(network: UncertaintyNetwork, read: Mapping[str, np.ndarray], radi
     """
     view = read["view"]
     angles = read["anisotropy"][view], read["gamma"][view]
-    found = [
+    relative = [
         network.run(inputs(read["stencil"], read["ray"], *angles, np.full(len(view), albedo, np.float32), predicted))
         for albedo, predicted in radiance.items()
     ]
-    return np.stack(found)
+    return np.stack(relative)
 
 
 def has_uncertainty(model: str) -> bool:

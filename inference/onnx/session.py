@@ -26,7 +26,7 @@ class _Operation:
     """A node, or several that run as one.
 
     inputs, outputs: names. new_memory: whether outputs share none with inputs. in_place: whether the output may take
-    the memory of an input, as `out`.
+    the memory of an input, as `out`. reshapes: whether the output is the first input in another shape.
     """
 
     run: Callable[..., Any]
@@ -34,6 +34,7 @@ class _Operation:
     outputs: tuple[str, ...]
     new_memory: bool = True
     in_place: bool = False
+    reshapes: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Session:
         if unknown:
             raise MalformedFile(f"its operators {', '.join(sorted(unknown))} are unknown")
         operations = _operations(self._model)
-        own = _own_memory(operations)
+        own = _own_memory(self._model, operations)
         self._steps = [
             _Step(operation, released, own & set(released) if operation.in_place else frozenset())
             for operation, released in zip(operations, _last_uses(self._model, operations))
@@ -133,9 +134,14 @@ def _sole_readers(model: Model) -> dict[str, Node]:
 
 
 def _of_node(node: Node) -> _Operation:
-    run = functools.partial(OPERATORS[node.operation], **node.attributes)
-    in_place = node.operation in IN_PLACE
-    return _Operation(run, node.inputs, node.outputs, node.operation in NEW_MEMORY, in_place)
+    return _Operation(
+        functools.partial(OPERATORS[node.operation], **node.attributes),
+        node.inputs,
+        node.outputs,
+        new_memory=node.operation in NEW_MEMORY,
+        in_place=node.operation in IN_PLACE,
+        reshapes=node.operation == "Reshape",
+    )
 
 
 def _layer(
@@ -195,11 +201,16 @@ def _layers(layers: list[Layer], left: np.ndarray, added: np.ndarray | None = No
     return out
 
 
-def _own_memory(operations: list[_Operation]) -> frozenset[str]:
-    """Values between operations that share memory with no other value."""
-    new = {name for operation in operations if operation.new_memory for name in operation.outputs}
-    shared = {name for operation in operations if not operation.new_memory for name in operation.inputs}
-    return frozenset(new - shared)
+def _own_memory(model: Model, operations: list[_Operation]) -> frozenset[str]:
+    """Values between operations that share memory with no other value that is read after them."""
+    sole_readers = _sole_readers(model)
+    own, shared = set[str](), set[str]()
+    for operation in operations:
+        if operation.new_memory or operation.reshapes and operation.inputs[0] in own & set(sole_readers):
+            own.update(operation.outputs)
+        else:
+            shared.update(operation.inputs)
+    return frozenset(own - shared)
 
 
 def _last_uses(model: Model, operations: list[_Operation]) -> list[tuple[str, ...]]:

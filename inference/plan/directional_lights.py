@@ -68,9 +68,9 @@ def _coarsened(directions: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, n
     # Boxes in space, so that each holds neighbouring directions.
     boxes, box = np.unique(np.floor(directions / COARSE).astype(int), axis=0, return_inverse=True)
     box = box.reshape(-1)
-    share = np.bincount(box, power, len(boxes))
+    box_power = np.bincount(box, power, len(boxes))
     mean = np.stack([np.bincount(box, power * axis, len(boxes)) for axis in directions.T], axis=1)
-    return mean / np.linalg.norm(mean, axis=1, keepdims=True), share / share.sum()
+    return mean / np.linalg.norm(mean, axis=1, keepdims=True), box_power / box_power.sum()
 
 
 def _mean(directions: np.ndarray, power: np.ndarray) -> np.ndarray:

@@ -67,13 +67,13 @@ def _fields(lamps: Sequence[Lamp], low: np.ndarray, high: np.ndarray) -> tuple[n
     points = np.concatenate([ends, 0.5 * (low + high)[None]])
     fields, light = np.zeros((len(lamps), 3 * len(points))), np.zeros(len(lamps))
     for k, lamp in enumerate(lamps):
-        found = np.zeros_like(points)
-        for part in lamp.emitters(low, high, 1):
-            away = part.position - points
+        field = np.zeros_like(points)
+        for emitter in lamp.emitters(low, high, 1):
+            away = emitter.position - points
             away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
-            found += float(lamp.power.mean()) * part.brightest(points)[:, None] * away
-        light[k] = np.linalg.norm(found, axis=1).mean()
-        fields[k] = found.ravel() / max(light[k] * len(points) ** 0.5, 1e-300)
+            field += float(lamp.power.mean()) * emitter.brightest(points)[:, None] * away
+        light[k] = np.linalg.norm(field, axis=1).mean()
+        fields[k] = field.ravel() / max(light[k] * len(points) ** 0.5, 1e-300)
     return fields, light
 
 

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ..models.abilities import abilities
 from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.emitters import solid_angles
 from ..scene.environment import Environment
@@ -18,10 +19,6 @@ from .directional_lights import directional_lights
 
 AnyLight = TypeVar("AnyLight", bound=Light)
 
-#: Networks beside which there is one for light from everywhere.
-ENVIRONMENT_MODELS = frozenset({"mrpnn"})
-#: Networks that know lamps: those that read the light along camera rays.
-LAMP_MODELS = frozenset({"mrpnn"})
 #: Why environments are computed as suns where a scene has surfaces.
 SURFACES_SHADOW = "surfaces shadow it"
 # Most surfaces that shine as lamps, the brightest; the others are what the middle of the volumes sees of them, as are
@@ -45,7 +42,7 @@ def split_lights(
     """
     families = Families.of(lights)
     suns, bright = families.suns, shining(families.environments, left_out)
-    if settings.model not in ENVIRONMENT_MODELS:
+    if not abilities(settings.model).every_light:
         parallel = f"the network {settings.model} knows suns alone"
     environments = []
     for environment in bright:
@@ -54,9 +51,11 @@ def split_lights(
             planned.append(f"{environment.name}: {len(peaks)} of its peaks as suns")
         suns += peaks
         if parallel:
-            found = directional_lights(rest, DIRECTIONS)
-            planned.append(f"{environment.name}: as parallel light from {len(found)} directions, since {parallel}")
-            suns += found
+            parallel_suns = directional_lights(rest, DIRECTIONS)
+            planned.append(
+                f"{environment.name}: as parallel light from {len(parallel_suns)} directions, since {parallel}"
+            )
+            suns += parallel_suns
         else:
             environments.append(rest)
     return suns, environments
@@ -70,15 +69,15 @@ def shining(lights: Sequence[AnyLight], left_out: list[str]) -> list[AnyLight]:
 
 def linking(lights: Sequence[Light], names: Sequence[str]) -> np.ndarray:
     """Whether lights light objects of some names, 0 or 1: float64 (objects, lights)."""
-    found = [[light.lights(name) for light in lights] for name in names]
-    return np.array(found, np.float64).reshape(len(names), len(lights))
+    lit = [[light.lights(name) for light in lights] for name in names]
+    return np.array(lit, np.float64).reshape(len(names), len(lights))
 
 
 def linked_lights(lights: Sequence[AnyLight], names: Sequence[str], left_out: list[str]) -> list[AnyLight]:
     """Lights that light any object of some names; adds sentences about the others to `left_out`."""
-    found = [any(light.lights(name) for name in names) for light in lights]
-    left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, found) if not lit]
-    return [light for light, lit in zip(lights, found) if lit]
+    lit_any = [any(light.lights(name) for name in names) for light in lights]
+    left_out += [f"{light.name}: it lights nothing that is rendered" for light, lit in zip(lights, lit_any) if not lit]
+    return [light for light, lit in zip(lights, lit_any) if lit]
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class PredictedSun:
     @classmethod
     def joined(cls, whole: Sun, parts: list[int], suns: Sequence[Sun]) -> "PredictedSun":
         """parts: numbers of some suns."""
-        irradiance = np.array([suns[part].irradiance for part in parts])
+        irradiance = np.array([suns[number].irradiance for number in parts])
         light = irradiance.sum(axis=1)
         shares = light / light.sum() if light.any() else np.full(len(parts), 1.0 / len(parts))
         return cls(
@@ -129,8 +128,8 @@ def without_faint(
         for k, lamp in enumerate(lamps):
             if lamp.lights(name):
                 nearest, power = np.clip(lamp.centre, low, high)[None], float(lamp.power.mean())
-                most[v, k] = power * sum(part.brightest(nearest)[0] for part in lamp.emitters(low, high, 1))
-                total[v] += power * sum(part.fluence(middle)[0] for part in lamp.emitters(low, high, 1))
+                most[v, k] = power * sum(emitter.brightest(nearest)[0] for emitter in lamp.emitters(low, high, 1))
+                total[v] += power * sum(emitter.fluence(middle)[0] for emitter in lamp.emitters(low, high, 1))
     # What a lamp gives somewhere may be all light, if it gives the middle none.
     shares = (most / np.maximum(np.maximum(total[:, None], most), 1e-300)).max(axis=0, initial=0.0)
     order = np.argsort(shares, kind="stable")
@@ -154,7 +153,7 @@ def brightest_light(lights: Sequence[Light], volumes: Sequence[tuple[Volume, Med
 def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLight]:
     """Surfaces that emit light and are lamps; corners: (N, 3), of the volumes."""
     low, high = corners.min(axis=0), corners.max(axis=0)
-    middle, found = 0.5 * (low + high), []
+    middle, glowing = 0.5 * (low + high), []
     for surface in surfaces:
         if not surface.emission.any() or not len(surface.triangles):
             continue
@@ -162,9 +161,9 @@ def mesh_lights(surfaces: Sequence[Surface], corners: np.ndarray) -> list[MeshLi
         seen = solid_angles(surface.triangles - middle).sum() / (2.0 if light.closed else 1.0)
         if light.power.any() and (seen < AROUND or light.extent < (high - low).max()):
             square = max(float(((light.centre - middle) ** 2).sum()), float(((high - low) ** 2).sum()) / 4.0)
-            found.append((float(light.power.mean()) / square, light))
-    brightest = sorted(range(len(found)), key=lambda number: -found[number][0])[:MESH_LIGHTS]
-    return [found[number][1] for number in sorted(brightest)]
+            glowing.append((float(light.power.mean()) / square, light))
+    brightest = sorted(range(len(glowing)), key=lambda number: -glowing[number][0])[:MESH_LIGHTS]
+    return [glowing[number][1] for number in sorted(brightest)]
 
 
 def without_lamps(surfaces: Sequence[Surface], lamps: Sequence[Lamp]) -> list[Surface]:
@@ -181,7 +180,7 @@ def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: lis
     if not lit:
         return False
     names = lit[0] + (f" and {len(lit) - 1} more" if len(lit) > 1 else "")
-    if settings.model not in ENVIRONMENT_MODELS:
+    if not abilities(settings.model).every_light:
         left_out.append(f"light of {names}: the network {settings.model} knows suns alone")
         return False
     planned.append(f"light of {names}, as an environment around the middle of the volumes")

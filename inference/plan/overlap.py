@@ -41,10 +41,10 @@ def overlapping(
     return groups, apart
 
 
-def share_light(one: Medium, other: Medium) -> bool:
+def share_light(medium: Medium, other: Medium) -> bool:
     """Whether what one medium does to light matters to the other: unless they attenuate different colours."""
-    both = (one.sigma_t > 0.0) & (other.sigma_t > 0.0)
-    return bool(both.any()) or not one.sigma_t.any() or not other.sigma_t.any()
+    both = (medium.sigma_t > 0.0) & (other.sigma_t > 0.0)
+    return bool(both.any()) or not medium.sigma_t.any() or not other.sigma_t.any()
 
 
 def _corners(volume: Volume) -> np.ndarray:

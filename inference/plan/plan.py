@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..models.abilities import abilities
 from ..occluders.seen_surfaces import OpenSky, behind, open_sky, vantage
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
@@ -20,7 +21,6 @@ from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .joined_lamps import joined_lamps
 from .lights import (
-    LAMP_MODELS,
     SURFACES_SHADOW,
     PredictedSun,
     linked_lights,
@@ -49,9 +49,6 @@ from .resolution import BAND
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
 TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 6
-# Lookup lattices are built for the points of the view alone where the image has at most so many pixels, because all of
-# their depth samples are held meanwhile.
-VIEW_PIXELS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -148,14 +145,9 @@ class Plan(SceneLights):
             for v in self.groups[group]
         )
 
-    def predicted_suns(self, numbers: Sequence[int] | None = None) -> list[PredictedSun]:
-        """Those of some suns, by number, or of all; `parts` are places among these."""
-        return predicted_suns(self.suns if numbers is None else [self.suns[n] for n in numbers])
-
-    @property
-    def small(self) -> bool:
-        """Whether lookup lattices are built for the points of the view alone."""
-        return sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.tiles) <= VIEW_PIXELS
+    def predicted_suns(self) -> list[PredictedSun]:
+        """The suns, the parts of each soft one together."""
+        return predicted_suns(self.suns)
 
 
 def last_albedo(volume: Volume, medium: Medium) -> np.ndarray:
@@ -301,31 +293,31 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         unhidden = environments
         environments = [behind(environment, sky) for environment in unhidden for sky in skies]
     # Surfaces shadow each part of a soft sun differently.
-    if surfaces or settings.model not in LAMP_MODELS or "soft_suns" not in settings.leave_out:
+    if surfaces or not abilities(settings.model).every_light or "soft_suns" not in settings.optimizations:
         suns = [replace(sun, part_of=None) for sun in suns]
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
-    if "faint_lamps" in settings.leave_out:
+    if "faint_lamps" in settings.optimizations:
         boxes = {volume.name: _corners(volume) for volume, _ in scene.volumes}
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
-        f"{len(one.parts) - 1} of {len(one.parts)} predictions of {one.sun.name}: one for all of its parts"
-        for one in predicted_suns(suns)
-        if len(one.parts) > 1
+        f"{len(joined.parts) - 1} of {len(joined.parts)} predictions of {joined.sun.name}: one for all of its parts"
+        for joined in predicted_suns(suns)
+        if len(joined.parts) > 1
     ]
-    predicts_lamps = settings.multiple and settings.model in LAMP_MODELS
+    predicts_lamps = settings.multiple and abilities(settings.model).every_light
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
-    if "distant_lamps" in settings.leave_out:
+    if "distant_lamps" in settings.optimizations:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
         clusters = [joined_lamps(lamps, others, {own.name: _corners(own) for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     if predicts_lamps:
         left_out += [
-            f"{len(lamps) - len(found)} of {len(lamps)} predictions of lamps: one for all from about the same direction"
-            for found in clusters
-            if len(found) < len(lamps)
+            f"{len(lamps) - len(own)} of {len(lamps)} predictions of lamps: one for all from about the same direction"
+            for own in clusters
+            if len(own) < len(lamps)
         ]
     return SceneLights(
         suns=suns,
@@ -357,6 +349,7 @@ def plan_tiles(
     different = lights.skies + bool(lights.reflects and lights.environments)
     memory += different * SKY_BYTES if different > 1 else 0
     memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
+    memory += len(scene.groups) * len(suns) * abilities(settings.model).light_bytes
     depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)
     ray = ray_bytes(depth_samples, len(rendered), len(suns) + len(lights.lamps))
     x0, y0, x1, y1 = camera.window
@@ -365,8 +358,6 @@ def plan_tiles(
     for bands in TILE_BANDS:
         tiles = make_tiles(camera.window, bands)
         pixels = min(threads, len(tiles)) * _largest(tiles)
-        if (x1 - x0) * (y1 - y0) <= VIEW_PIXELS:
-            pixels = (x1 - x0) * (y1 - y0)
         needed = memory + pixels * ray
         if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
             break
@@ -415,7 +406,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         groups=scene.groups,
         multiple=multiple,
         scattered_emission=scattered_emission,
-        optimizations=settings.leave_out,
+        optimizations=settings.optimizations,
         memory=memory,
         tiles=tiles,
     )
@@ -437,7 +428,7 @@ def make_plan(
 
 def _needed_suns(suns: Sequence[Sun], settings: Settings, left_out: list[str]) -> list[Sun]:
     """Suns that emit light, parallel ones merged; adds sentences about the others to `left_out`."""
-    if "needless_suns" not in settings.leave_out:
+    if "needless_suns" not in settings.optimizations:
         return list(suns)
     bright = shining(suns, left_out)
     merged = merge_parallel(bright)
@@ -452,7 +443,7 @@ def _channel_groups(volumes: list[tuple[Volume, Medium]], settings: Settings) ->
     for c in range(3):
         sigma_t = np.array([medium.sigma_t[c] for _, medium in volumes])
         for group in groups:
-            if "equal_channels" in settings.leave_out and np.array_equal(group.sigma_t, sigma_t):
+            if "equal_channels" in settings.optimizations and np.array_equal(group.sigma_t, sigma_t):
                 group.indices.append(c)
                 break
         else:
@@ -479,7 +470,7 @@ def _plan_group(
     elif len(members) > 1:
         planned.append(f"{names}: multiple scattering, as one medium")
     else:
-        stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.leave_out))
+        stages = len(distinct_albedos(members[0][1], [0, 1, 2], settings.optimizations))
         planned.append(f"{names}: multiple scattering" + (f" of {stages} albedos" if stages > 1 else ""))
     return predicted, scattered_emission
 
@@ -487,7 +478,7 @@ def _plan_group(
 def _scatters(members: list[tuple[Volume, Medium]], settings: Settings) -> bool:
     """Whether a group of volumes scatters light."""
     return any(
-        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.leave_out))
+        attenuates(volume, medium) and bool(distinct_albedos(medium, [0, 1, 2], settings.optimizations))
         for volume, medium in members
     )
 

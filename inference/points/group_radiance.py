@@ -29,26 +29,17 @@ class GroupRadiance:
     """
 
     def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels) -> None:
-        plan, network = scene.plan, scene.network
+        plan = scene.plan
         self._context, self._scene, self._members = context, scene, plan.groups[g]
-        self._suns, self._channels = list(range(len(plan.suns))), channels
-        asked = AskedGroup(
-            context=context,
-            scene=scene,
-            number=g,
-            channels=channels,
-            places=(0, 0, 0),
-            bounds=lambda predictor: predictor.extent(),
-            # Lookup lattices of networks without ray features differ from sun to sun.
-            holds=network is not None and network.needs_ray_features,
-        )
+        self._channels = channels
+        asked = AskedGroup(context=context, scene=scene, number=g, channels=channels, places=(0, 0, 0))
         returned = scene.thrown_back
         skies = [environment for environment in scene.environments if environment is not returned]
         context.progress.message(f"multiple scattering of {plan.group_name(g)}")
-        fluence = solve_transport(context, scene, channels, self._suns, [g])
+        fluence = solve_transport(context, scene, channels, [g])
         lamps = prepare_lamp_march(context, scene, channels) if scene.lamps and plan.predicts_lamps else None
         with context.report.stage("fields"):
-            self.sources = list(asked.suns(self._suns))
+            self.sources = list(asked.suns())
             if lamps is not None:
                 self.sources += asked.lamps()
             if scene.environment_network is not None and skies:
@@ -69,7 +60,7 @@ class GroupRadiance:
         return replace(lamps, lamps=own, fluence=[lamps.fluence[g]])
 
     def _media(self, lit: bool) -> list[BoundMedium]:
-        media = self._scene.media(self._channels, self._suns if lit else [])
+        media = self._scene.media(self._channels, lit)
         return [media[v] for v in self._members]
 
     def _prepare_march(self, fluence: ScatteredFluence | None, lamps: LampMarch | None) -> Marcher:
@@ -81,7 +72,7 @@ class GroupRadiance:
             fluence=[fluence] if lit else None,
             shadow_maps=self._scene.occluders.shadow_maps if lit else None,
             groups=[list(range(len(self._members)))],
-            optimizations=context.settings.leave_out - {"faint_rays"},
+            optimizations=context.settings.optimizations - {"faint_rays"},
             quadrature=entry_point,
         )
         indices, stopping = self._channels.indices, context.tasks.stopping
@@ -110,23 +101,22 @@ class GroupRadiance:
 
     def _told(self, source: Source, points: LitPoints) -> Iterator[tuple[slice, dict, int]]:
         """Yield batches of points, what is told there, and how many these are."""
-
-        estimator = source.estimator.ready()
+        estimator = source.estimator
 
         def task(span: slice) -> tuple[slice, dict, int]:
-            some = points.span(span)
-            return span, estimator.radiance(estimator.predict(some), some), len(some.positions)
+            batch = points.span(span)
+            return span, estimator.radiance(estimator.predict(batch), batch), len(batch.positions)
 
         return self._context.tasks.map(task, spans(len(points.positions)))
 
     def _gathered(self, positions: np.ndarray, directions: np.ndarray, depths: bool) -> LitPoints:
         """Points with what estimators read of their rays."""
-        found, count = LitPoints(positions, directions), len(positions)
+        points, count = LitPoints(positions, directions), len(positions)
         if self._march is not None and count:
             # Where a ray meets no density, nothing lies ahead.
             suns, lamps = (
                 np.zeros((count, 1, lights, COLUMNS), np.float32)
-                for lights in (len(self._suns), len(self._scene.lamps))
+                for lights in (len(self._scene.plan.suns), len(self._scene.lamps))
             )
 
             def keep(first: int, segment: RaySegment) -> None:
@@ -137,7 +127,7 @@ class GroupRadiance:
                     lamps[ray] = segment.lamps.features.values
 
             self._follow(self._march, positions, directions, keep)
-            found = replace(found, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
+            points = replace(points, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
         if depths:
             along = np.zeros((count, 2), np.float32)
             for column, towards in enumerate((directions, -directions)):
@@ -147,8 +137,8 @@ class GroupRadiance:
                     along[first : first + len(depth), column] = depth
 
                 self._follow(self._through, positions, towards, measure)
-            found = replace(found, depths=along)
-        return found
+            points = replace(points, depths=along)
+        return points
 
     def _follow(
         self,

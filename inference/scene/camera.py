@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from .description import affine_matrix
 from .errors import SceneError
-from .validation import affine_matrix
 
 
 @dataclass(frozen=True)

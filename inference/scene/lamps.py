@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .description import MAX_IRRADIANCE, Surface
+from .description import MAX_IRRADIANCE, Surface, affine_matrix, rgb_triple
 from .emitters import Emitter, QuadEmitter, SphereEmitter
 from .errors import SceneError
 from .light import Families, Light
 from .spot_cone import SpotCone
-from .validation import affine_matrix, rgb_triple
 
 #: Shapes of area lights.
 SHAPES = ("square", "rectangle", "disk", "ellipse")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Optimizations: what a render skips because it hardly changes the picture. Each can be turned off."""
 
+import itertools
 from dataclasses import dataclass
 
 
@@ -22,7 +23,7 @@ class Optimization:
 # Change caused by summing in another order in single precision.
 ROUNDING = 1e-4
 
-# In the order in which they were added: .blend files hold the numbers of the optimizations that are on.
+# In the order in which they were added: .blend files hold the numbers of those that are on, RETIRED ones counted.
 OPTIMIZATIONS = {
     "missed_pixels": Optimization("Skip Empty Pixels", "No camera rays through pixels away from every volume", 0.0),
     "empty_space": Optimization("Skip Empty Space", "Camera rays skip space without density", ROUNDING),
@@ -45,9 +46,6 @@ OPTIMIZATIONS = {
     "equal_albedos": Optimization(
         "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none", ROUNDING
     ),
-    "unread_fields": Optimization(
-        "Crop Lookup Grids", "Lookup grids are built only where visible points read them", ROUNDING
-    ),
     "unchanged": Optimization(
         "Reuse Between Frames", "Viewport and animations reuse volumes, shadows and lookup grids", ROUNDING
     ),
@@ -69,3 +67,11 @@ OPTIMIZATIONS = {
     ),
 }
 ALL = frozenset(OPTIMIZATIONS)
+# Optimizations that older files and command lines name, by number: nothing depends on them any more.
+RETIRED = {9: "unread_fields"}
+
+
+def numbers() -> dict[str, int]:
+    """The number of each optimization in .blend files."""
+    free = (number for number in itertools.count() if number not in RETIRED)
+    return dict(zip(OPTIMIZATIONS, free))

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from .errors import SceneError
-from .optimizations import ALL
+from .optimizations import ALL, RETIRED
 
 #: Factors of depth samples on rays that pass lamps near volumes: odd numbers, so that nodes of a quadrature stay in the
 #: middle of a stratum.
@@ -27,7 +27,8 @@ class Settings:
     light_paths: whether the light of environments is corrected by some ten thousand light paths, where these can be
         followed.
     directional: whether baked light is right from other directions than the camera's too.
-    leave_out: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
+    most_voxels: along the longest edge of a baked lattice, whose voxels are joined beyond; 0 for as many as there are.
+    optimizations: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
     """
@@ -41,15 +42,21 @@ class Settings:
     provider: str = "CPU"
     light_paths: bool = True
     directional: bool = True
-    leave_out: frozenset[str] = ALL
+    most_voxels: int = 0
+    optimizations: frozenset[str] = ALL
 
     def __post_init__(self) -> None:
-        for name, least, most in (("depth samples", 1, 512), ("threads", 0, 1024), ("seed", 0, 2**63 - 1)):
+        for name, least, most in (
+            ("depth samples", 1, 512),
+            ("threads", 0, 1024),
+            ("seed", 0, 2**63 - 1),
+            ("most voxels", 0, 2**31),
+        ):
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):
                 raise SceneError(f"{name} must be a whole number from {least} to {most}, not {value}")
-        self.leave_out = frozenset(self.leave_out)
-        unknown = sorted(self.leave_out - ALL)
+        self.optimizations = frozenset(self.optimizations) - set(RETIRED.values())
+        unknown = sorted(self.optimizations - ALL)
         if unknown:
             raise SceneError(f"there is no optimization called {unknown[0]!r}; there are: {', '.join(sorted(ALL))}")
         if not self.memory_limit > 0:

@@ -71,8 +71,8 @@ class Fields(NamedTuple):
 
     def start(self, light: Iterable[np.ndarray]) -> None:
         """Let this fluence and flux, (x, y, z) each, be what scatters next."""
-        for values, found in zip(self.field, light):
-            values[...] = found
+        for values, begun in zip(self.field, light):
+            values[...] = begun
 
 
 class CellSource(Protocol):
@@ -257,8 +257,8 @@ class DiscreteOrdinates:
         """
         n = len(self.density)
         source = self.means(change) * np.float32((2.0 / n) ** 2)
-        found = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, cancel)
-        more = self._finer(found.astype(np.float32))
+        correction = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, cancel)
+        more = self._finer(correction.astype(np.float32))
         field[0] += more
         for axis in range(3):
             field[1 + axis] -= self.diffusion * np.gradient(more, np.float32(1.0 / n), axis=axis)

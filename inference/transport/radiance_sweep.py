@@ -47,8 +47,8 @@ def _cells(extinction: np.ndarray, emission: np.ndarray, lengths: np.ndarray) ->
     lengths = lengths[:, None, None, None]
     depth = np.maximum(extinction * lengths, MIN_DEPTH)
     given, lost = emission * lengths, -np.expm1(-depth)
-    share = lost / depth
-    return [1.0 - lost, share, given * share, given * (1.0 - share) / depth]
+    lost_fraction = lost / depth
+    return [1.0 - lost, lost_fraction, given * lost_fraction, given * (1.0 - lost_fraction) / depth]
 
 
 def _follow(

@@ -99,11 +99,11 @@ class ScatteredEmission:
         if not total > 0.0 or not reduced.any():
             return None
         asked = absorption, reduced, emission / total
-        found = next((field for terms, field in solved if all(map(_close, terms, asked))), None)
-        if found is None:
-            found = self._solve(*asked, cancel)
-            solved.append((asked, found))
-        return found * np.float32(total)
+        known = next((field for terms, field in solved if all(map(_close, terms, asked))), None)
+        if known is None:
+            known = self._solve(*asked, cancel)
+            solved.append((asked, known))
+        return known * np.float32(total)
 
     def _solve(
         self, absorption: np.ndarray, reduced: np.ndarray, emission: np.ndarray, cancel: CancelToken
@@ -154,7 +154,7 @@ class ScatteredEmission:
             return np.zeros(len(positions), np.float32)
         index = ((positions - self.first) / self.cell).T.astype(np.float32)
         fluence, *flux = (sample_padded(values, index) for values in field)
-        along = sum(part * directions[:, axis] for axis, part in enumerate(flux))
+        along = sum(flux_axis * directions[:, axis] for axis, flux_axis in enumerate(flux))
         return np.maximum(fluence - 3.0 * anisotropy * along, 0.0) / (4.0 * np.pi)
 
 

@@ -110,8 +110,8 @@ class FluenceLattice:
         out[:, 1:PROBES] = _interpolate(self._logs, probes, self._edge).reshape(PROBES - 1, -1).T
         flux = here[:, 1:].T
         ahead = flux[0] * along[0] + flux[1] * along[1] + flux[2] * along[2]
-        share = np.maximum(np.float32(1.0) - np.float32(3.0 * reduced_anisotropy(anisotropy)) * ahead, MIN_SHARE)
-        out[:, PROBES] = here[:, 0] + np.log(share)
+        anisotropic = np.maximum(np.float32(1.0) - np.float32(3.0 * reduced_anisotropy(anisotropy)) * ahead, MIN_SHARE)
+        out[:, PROBES] = here[:, 0] + np.log(anisotropic)
         out[:, PROBES + 1] = ahead
         out[:, PROBES + 2] = flux[0] * towards[0] + flux[1] * towards[1] + flux[2] * towards[2]
         return out

@@ -79,7 +79,7 @@ class CoarseAlbedo:
         solver_of: a solver for an albedo. source: of light. Raises Cancelled.
         """
         n, uniform = len(self.density), {}
-        found = np.zeros((n, n, n, len(self.channels)), np.float32)
+        places = np.zeros((n, n, n, len(self.channels)), np.float32)
         for c, (albedo, enclosing) in enumerate(zip(self.channels, self.enclosing)):
             if len(enclosing) == 1:
                 continue
@@ -90,11 +90,11 @@ class CoarseAlbedo:
             known = np.maximum.accumulate([uniform[number] for number in enclosing], axis=0)
             here = _logarithm(source.scattered(solver_of(albedo), cancel))
             for below, above in zip(known[:-1], known[1:]):
-                found[..., c] += np.clip((here - below) / np.maximum(above - below, 1e-6), 0.0, 1.0)
+                places[..., c] += np.clip((here - below) / np.maximum(above - below, 1e-6), 0.0, 1.0)
             # Where no light comes the albedo is what it is there.
             dark = known[-1] <= np.log(MIN_FLUENCE)
-            found[dark, c] = np.interp(albedo[dark], self.uniform[enclosing], np.arange(float(len(enclosing))))
-        return np.pad(found, [(1, 1)] * 3 + [(0, 0)], mode="edge")
+            places[dark, c] = np.interp(albedo[dark], self.uniform[enclosing], np.arange(float(len(enclosing))))
+        return np.pad(places, [(1, 1)] * 3 + [(0, 0)], mode="edge")
 
 
 def _enclosing(ends: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:

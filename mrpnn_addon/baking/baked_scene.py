@@ -6,18 +6,20 @@ stay as they are.
 """
 
 import json
+import os
 from dataclasses import replace
 from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, PointerProperty, StringProperty
 
+from ...inference.scene import Settings
 from ..nodes.material import LIGHT_MARK
 from ..scene.reader import SceneDescription
 from ..settings.properties import scene_settings
 from .bake_job import BakedScene, BakedVolume
 from .content import light_keys, volume_names
-from .light_material import light_material, set_frame
+from .light_material import light_material, reuse, set_frame
 
 COLLECTION = "Baked Light"
 _ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
@@ -48,11 +50,20 @@ def light_state(scene: "bpy.types.Scene") -> MRPNN_PG_light:
 
 def baked_keys(scene: "bpy.types.Scene") -> dict[str, str]:
     """Content keys of what is baked and still there, by volume."""
-    found = {}
-    for item in light_state(scene).volumes:
-        if item.shown is not None and item.shown.name in scene.objects and len(item.shown.data.materials):
-            found[item.name] = item.key
-    return found
+    return {item.name: item.key for item in light_state(scene).volumes if _is_there(scene, item.shown)}
+
+
+def _is_there(scene: "bpy.types.Scene", shown: "bpy.types.Object | None") -> bool:
+    """Whether an object shows baked light: it is in the scene, and so are its material and its file."""
+    if shown is None or shown.name not in scene.objects:
+        return False
+    data: Any = shown.data
+    return bool(len(data.materials)) and os.path.exists(bpy.path.abspath(data.filepath))
+
+
+def bake_settings(scene: "bpy.types.Scene") -> Settings:
+    """The scene's settings, with other directions where its light has them."""
+    return replace(scene_settings(scene).settings(), directional=light_state(scene).directional)
 
 
 def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list[str]:
@@ -60,7 +71,7 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
     state = light_state(scene)
     if not state.active:
         return []
-    settings = replace(scene_settings(scene).settings(), directional=state.directional)
+    settings = bake_settings(scene)
     names, known = volume_names(description), baked_keys(scene)
     sequences = {item.name for item in state.volumes if not item.key}
     found = [
@@ -147,6 +158,7 @@ def _prepare(scene: "bpy.types.Scene") -> None:
     state = light_state(scene)
     if state.collection is None or COLLECTION not in state.collection.name:
         state.collection = bpy.data.collections.new(COLLECTION)
+        state.collection[LIGHT_MARK] = COLLECTION
     if state.collection.name not in scene.collection.children:
         scene.collection.children.link(state.collection)
     if not state.active:
@@ -163,21 +175,40 @@ def _prepare(scene: "bpy.types.Scene") -> None:
 
 
 def _show(scene: "bpy.types.Scene", one: BakedVolume) -> None:
+    """Show a volume's light in its object, which Live Light does many times."""
     state = light_state(scene)
     item = state.volumes.get(one.name)
     if item is None:
         item = state.volumes.add()
         item.name = one.name
-    _remove_object(item.shown)
-    data = bpy.data.volumes.new(f"{one.name} Light")
-    data.filepath = bpy.path.relpath(one.path) if bpy.data.filepath and _near(one.path) else one.path
-    data.materials.append(light_material(f"{one.name} Light", one.scale, one.directional))
-    shown = bpy.data.objects.new(f"{one.name} Light", data)
+    if item.shown is None or item.shown.name not in scene.objects:
+        _remove_object(item.shown)
+        item.shown = _light_object(one.name)
+        state.collection.objects.link(item.shown)
+    data = item.shown.data
+    set_file(data, one.path)
+    data.is_sequence = False
+    materials = list(data.materials)
+    if not reuse(materials[0] if materials else None, one.scale, one.directional):
+        data.materials.clear()
+        _remove_materials(materials)
+        data.materials.append(light_material(f"{one.name} Light", one.scale, one.directional))
+    item.key = one.key
+
+
+def _light_object(name: str) -> "bpy.types.Object":
+    """A new Volume object for the light of the volume of that name."""
+    data = bpy.data.volumes.new(f"{name} Light")
+    shown = bpy.data.objects.new(f"{name} Light", data)
     # The grids are in the world's frame. Nobody should have to click through it to the volume.
     shown.hide_select = True
-    shown[LIGHT_MARK] = one.name
-    state.collection.objects.link(shown)
-    item.shown, item.key = shown, one.key
+    shown[LIGHT_MARK] = data[LIGHT_MARK] = name
+    return shown
+
+
+def set_file(data: "bpy.types.Volume", path: str) -> None:
+    """Have a Volume load an absolute path, written relative to the .blend file where there is one."""
+    data.filepath = bpy.path.relpath(path) if bpy.data.filepath and _near(path) else path
 
 
 def _near(path: str) -> bool:
@@ -198,6 +229,10 @@ def _remove_object(shown: "bpy.types.Object") -> None:
         return
     materials = list(data.materials)
     bpy.data.volumes.remove(data)
+    _remove_materials(materials)
+
+
+def _remove_materials(materials: "list[bpy.types.Material]") -> None:
     for material in materials:
         if material is not None and not material.users:
             animation = material.node_tree.animation_data

@@ -2,7 +2,7 @@
 """The material that shows baked light: `inference.LitVolume.towards` as shader nodes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import bpy
@@ -17,9 +17,12 @@ from ...inference.baking.directional_factor import (
     DirectionalFactor,
     Lobe,
 )
+from ..nodes.material import LIGHT_MARK
 from ..nodes.sockets import Node, Socket
 from ..vdb.light_file import COLOURS, DENSITY, LIGHT, anchor_grids, smooth_grids
 
+# Property of a material: `_shape` of its nodes.
+SHAPE = "mrpnn_shape"
 #: Nodes whose values change from frame to frame.
 SCALE, VIEW, UP, SUN = "Brightness", "Baked From", "Baked Upwards", "Sun {}"
 
@@ -42,6 +45,9 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
     material = bpy.data.materials.new(name)
     if not material.node_tree:
         material.use_nodes = True
+    # So that a change of it counts as none of the scene.
+    material[LIGHT_MARK] = material.node_tree[LIGHT_MARK] = name
+    material[SHAPE] = _shape(directional)
     build = _Nodes(material.node_tree)
     build.tree.nodes.clear()
     # Density and light are interpolated apart, as `LitVolume` says.
@@ -67,21 +73,49 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
 
 
 def set_frame(material: "bpy.types.Material", scale: float, directional: DirectionalFactor | None, frame: int) -> None:
-    """Key what a material of `light_material` knows of one frame: camera and suns."""
+    """Key what a material of `light_material` knows of one frame: brightness, camera and suns."""
+    for socket, value in _values(material, scale, directional):
+        socket.default_value = value
+        socket.keyframe_insert("default_value", frame=frame)
+
+
+def reuse(material: "bpy.types.Material | None", scale: float, directional: DirectionalFactor | None) -> bool:
+    """Have a material of `light_material` show other light; False where that needs other nodes.
+
+    It is a hundredth of the work, and Blender compiles nothing.
+    """
+    if material is None or material.get(SHAPE) != _shape(directional) or material.node_tree.animation_data:
+        return False
+    for socket, value in _values(material, scale, directional):
+        socket.default_value = value
+    return True
+
+
+def _values(
+    material: "bpy.types.Material", scale: float, directional: DirectionalFactor | None
+) -> Iterator[tuple[Any, float]]:
+    """Sockets that hold how bright the light is, where it was baked from and where suns are, and their values."""
+    yield material.node_tree.nodes[SCALE].outputs[0], scale
     if directional is None:
         return
-    nodes = material.node_tree.nodes
-    place = directional.view.position if directional.view.position is not None else directional.view.direction
-    vectors = {VIEW: place, UP: directional.view.up} | {
-        SUN.format(n + 1): d for n, d in enumerate(directional.lobe.directions)
-    }
+    view, nodes = directional.view, material.node_tree.nodes
+    place = view.position if view.position is not None else view.direction
+    vectors = {VIEW: place, UP: view.up}
+    vectors |= {SUN.format(number + 1): towards for number, towards in enumerate(directional.lobe.directions)}
     for name, vector in vectors.items():
         node: Any = nodes.get(name)
-        if node is None or vector is None:
-            continue
-        for socket, value in zip(node.inputs, vector):
-            socket.default_value = float(value)
-            socket.keyframe_insert("default_value", frame=frame)
+        if node is not None and vector is not None:
+            yield from zip(node.inputs, map(float, vector))
+
+
+def _shape(directional: DirectionalFactor | None) -> str:
+    """What decides which nodes a material has, and all numbers in them but those of `_values`."""
+    if directional is None:
+        return ""
+    view, lobe = directional.view, directional.lobe
+    kind = view.position is not None, view.direction is not None
+    numbers = lobe.weights.tolist(), lobe.anisotropy, directional.sharpness
+    return repr((kind, numbers, directional.anchors.values.shape[3], directional.colours is not None))
 
 
 def _other(

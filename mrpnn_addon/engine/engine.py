@@ -18,6 +18,7 @@ from ..objects.visibility import visible_objects
 from ..output.passes import extra_passes
 from ..runtime.background import Worker
 from ..runtime.text import percent, render_status, report, utf8_names
+from ..scene.changes import keeps_volumes
 from ..scene.film import Background, read_background
 from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
@@ -103,7 +104,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         ):
             # Selection and settings, which view_draw compares, do not change the volumes.
             return
-        if not all(_keeps_volumes(update) for update in depsgraph.updates):
+        if not all(keeps_volumes(update) for update in depsgraph.updates):
             self._viewport.reader = VolumeReader()
         self._viewport.read(depsgraph, space)
 
@@ -277,15 +278,6 @@ class _Progress:
         left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
         # The seconds left differ at every call.
         self._engine.say(f"{self._message}, {percent(fraction)}", left)
-
-
-def _keeps_volumes(update: "bpy.types.DepsgraphUpdate") -> bool:
-    """Whether a change cannot affect a volume's voxels, only its transform or lighting."""
-    if isinstance(update.id, (bpy.types.Scene, bpy.types.World, bpy.types.Light, bpy.types.Camera)):
-        return True
-    if not isinstance(update.id, bpy.types.Object):
-        return False
-    return update.id.type in ("LIGHT", "CAMERA") or not (update.is_updated_geometry or update.is_updated_shading)
 
 
 def _shows_volumes(depsgraph: "bpy.types.Depsgraph") -> bool:

@@ -69,7 +69,7 @@ def render_scene(
 
     views = scene.views or [View("", "", scene.camera)]
     # The views share what does not depend on them.
-    cache, layers = inference.RenderCache(any_view=len(views) > 1), []
+    cache, layers = inference.RenderCache(), []
     try:
         for number, view in enumerate(views):
             seen, part = scene.seen_by(view), parts[view.name] if parts else None

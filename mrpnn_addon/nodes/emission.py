@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .colour_space import from_rec709
+from .colour_operations import from_rec709
 from .sockets import Groups, Node
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..textures.image import ImagePixels
-from .colour_space import from_rec709
+from .colour_operations import from_rec709
 
 ROWS = 128
 # Colour spaces of linear Rec. 709, by their names in several versions, and those whose values are not converted.

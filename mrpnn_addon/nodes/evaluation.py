@@ -9,7 +9,7 @@ from typing import NoReturn, Protocol
 
 import numpy as np
 
-from .colour_space import luminance
+from .colour_operations import luminance
 from .functions import FUNCTIONS
 from .sockets import Groups, Node, Socket, Source, Unsupported, input_of, source_of
 

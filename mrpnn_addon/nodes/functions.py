@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .colour_operations import BLENDS, from_hsl, from_hsv, to_hsl, to_hsv
-from .colour_space import luminance
+from .colour_operations import BLENDS, from_hsl, from_hsv, luminance, to_hsl, to_hsv
 from .emission import blackbody_colour
 from .math_operations import MATH, VECTOR_MATH, about_axis, clamp, divide, euler_matrices, rotated, smoothstep
 from .sockets import Groups, Node, Socket, unsupported

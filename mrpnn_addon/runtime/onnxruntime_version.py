@@ -71,16 +71,15 @@ def runtime_problem() -> str:
 
 
 def check_runtime() -> list[str]:
-    """Import onnxruntime; returns warnings about one that loads and is not the shipped one.
+    """Import onnxruntime; returns warnings about one that loads in the place of the shipped one.
 
     All extensions share one folder of packages, where the highest version wins.
     """
-    version, folder = runtime_version(), runtime_folder()
-    if runtime_problem() or version in (None, shipped_version()):
+    version, folder, shipped = runtime_version(), runtime_folder(), shipped_version()
+    if runtime_problem() or version is None or shipped in (None, version):
         return []
     return [
-        f"onnxruntime {version}{_brought(version, folder)} is used; "
-        f"{shipped_version()} is what this extension was tested with"
+        f"onnxruntime {version}{_brought(version, folder)} is used; {shipped} is what this extension was tested with"
     ]
 
 
@@ -109,7 +108,7 @@ def _version(packages: tuple[str, ...], folder: str) -> str | None:
 def _missing() -> str:
     if shipped_version() is None:
         python = "{}.{}".format(*sys.version_info[:2])
-        return f"There is no onnxruntime for Python {python} on this system"
+        return f"This zip of MRPNN Volumes brings no onnxruntime for Python {python}"
     return f"onnxruntime, which MRPNN Volumes brings, is missing. {_reinstall()}"
 
 

@@ -7,13 +7,13 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ...inference import Settings
-from ...inference.scene.optimizations import ALL, OPTIMIZATIONS
+from ...inference.scene.optimizations import ALL, OPTIMIZATIONS, numbers
 from .models import model_items
 from .preferences import machine
 
 # Version of the properties in files. 0: networks are numbered by their position in the list. 1: there is a number of
-# directions of the World.
-VERSION = 2
+# directions of the World. 2: the optimizations that are on are called leave_out.
+VERSION = 3
 
 # Blender 4.5 and later require this option for paths that start with "//"; earlier versions reject it.
 RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -28,8 +28,8 @@ _PRESET_ITEMS = [
 ]
 
 _OPTIMIZATION_ITEMS = [
-    (name, optimization.title, optimization.what, "NONE", 1 << number)
-    for number, (name, optimization) in enumerate(OPTIMIZATIONS.items())
+    (name, OPTIMIZATIONS[name].title, OPTIMIZATIONS[name].what, "NONE", 1 << number)
+    for name, number in numbers().items()
 ]
 
 # The scene's choice to follow the preferences.
@@ -80,7 +80,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     seed: IntProperty(
         name="Seed", default=0, min=0, description="Seed of the random numbers; the same seed gives the same image"
     )
-    leave_out: EnumProperty(
+    optimizations: EnumProperty(
         name="Optimizations",
         items=_OPTIMIZATION_ITEMS,
         default=set(ALL),
@@ -124,7 +124,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
             depth_samples=self.depth_samples,
             model=model,
             seed=self.seed,
-            leave_out=self.leave_out,
+            optimizations=self.optimizations,
             threads=self.threads or preferred.threads,
             provider=preferred.provider,
             memory_limit=(self.memory_limit or preferred.memory_limit) << 30,
@@ -144,8 +144,12 @@ def migrate(scene: "bpy.types.Scene") -> None:
     # Version 0 numbered networks by position, and there was one.
     if settings.version < 1 and settings.is_property_set("model"):
         settings.model = Settings.model
-    if stored_properties(scene).pop("world_directions", None) == 0:
+    stored = stored_properties(scene)
+    if stored.pop("world_directions", None) == 0:
         _hide_world(scene)
+    bits = stored.pop("leave_out", None)
+    if bits is not None:
+        settings.optimizations = {name for name, number in numbers().items() if bits >> number & 1}
     settings.version = VERSION
 
 

@@ -14,10 +14,10 @@ from benchmarks.fidelity.measurements import Measurement
 from benchmarks.fidelity.references import relative_variance
 from benchmarks.support import pages
 from inference.evaluation.error import relative_bias
-from inference.network import weights_file
-from training.data.volumes import HELD_BACK
+from inference.models import weights_file
 from training.export import export, save
 from training.networks import MRPNN, RPNN
+from training.procedural.volumes import HELD_BACK
 
 RANGES = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 

@@ -137,9 +137,9 @@ def close():
 @pytest.mark.slow
 def test_interpolation_saves_predictions_and_keeps_the_picture(close):
     """Two thirds of them here; its error is below that of so few depth samples, and reported."""
-    every = render(*close, Settings(4, leave_out=ALL - {"shared_pixels"}))
+    every = render(*close, Settings(4, optimizations=ALL - {"shared_pixels"}))
     shared = render(*close, Settings(4))
-    many = render(*close, Settings(32, leave_out=ALL - {"shared_pixels"}))
+    many = render(*close, Settings(32, optimizations=ALL - {"shared_pixels"}))
     assert shared.report.counts["network points"] < 0.35 * every.report.counts["network points"]
     for name in ("single", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(shared, name), getattr(every, name))
@@ -162,7 +162,9 @@ def test_light_of_an_environment_is_interpolated_where_distances_are_smooth():
     height = np.linspace(1.0, -1.0, 16)[:, None, None] * np.ones((1, 32, 3))
     sky = Environment(np.maximum(1.0 + height, 0.1).astype(np.float32))
     scene = [(Volume(density, matrix, "sphere"), Medium(400.0, 0.9, 0.8))], [sky], camera(resolution=(160, 160))
-    every, shared = (render(*scene, Settings(4, leave_out=left_out)) for left_out in (ALL - {"shared_pixels"}, ALL))
+    every, shared = (
+        render(*scene, Settings(4, optimizations=optimizations)) for optimizations in (ALL - {"shared_pixels"}, ALL)
+    )
     assert shared.report.counts["network points"] < 0.8 * every.report.counts["network points"]
     shown = every.alpha > 0.02
     off = np.sqrt(np.mean((shared.rgb - every.rgb)[shown] ** 2))
@@ -197,7 +199,9 @@ def test_a_sharp_step_in_a_volume_stays_sharp():
         ortho_scale=1.1,
     )
     scene = [(Volume(density, matrix, "halves"), Medium(40.0, 1.0, 0.5))], [Sun((0.3, 0.5, 0.8))], view
-    every, shared = (render(*scene, Settings(8, leave_out=left_out)) for left_out in (ALL - {"shared_pixels"}, ALL))
+    every, shared = (
+        render(*scene, Settings(8, optimizations=optimizations)) for optimizations in (ALL - {"shared_pixels"}, ALL)
+    )
     assert shared.report.counts["network points"] < 0.6 * every.report.counts["network points"]
     off = np.abs(shared.rgb - every.rgb).mean(axis=2)
     assert off.max() < 0.1 * every.rgb[every.alpha > 0.02].mean()

@@ -24,7 +24,7 @@ from inference import (
 from inference.grids.grid import Grid
 from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_in_media import place_lamp
-from inference.network.stencil_predictor import RayPredictor
+from inference.network.ray_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
 from inference.scene.emitters import LampSource, solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
@@ -34,7 +34,7 @@ FAINT = {"faint_lamps"}
 CLOUD, CACHE = cloud(voxels=32), RenderCache()
 TOWARDS = np.array([0.4, 0.3, 0.8]) / np.linalg.norm([0.4, 0.3, 0.8])
 #: Everything exact, so that only the light differs.
-EXACT = Settings(depth_samples=8, leave_out=frozenset({"empty_space", "equal_channels"}))
+EXACT = Settings(depth_samples=8, optimizations=frozenset({"empty_space", "equal_channels"}))
 
 
 def placed(position, direction=(0.0, 0.0, -1.0), scale=1.0):
@@ -361,7 +361,7 @@ def test_light_is_linear_in_power(name):
 
 @pytest.mark.slow
 def test_lights_add_up():
-    settings = Settings(depth_samples=4, leave_out=frozenset({"empty_space", "equal_channels"}))
+    settings = Settings(depth_samples=4, optimizations=frozenset({"empty_space", "equal_channels"}))
     lights = [
         Sun(TOWARDS, 0.5),
         LAMPS["inside"](),
@@ -386,7 +386,7 @@ def test_few_depth_samples_suffice_for_lamps_nearby(lamp):
 def test_lamps_nearby_do_not_change_where_the_light_of_suns_is_sampled():
     sun, settings = Sun(TOWARDS, 0.5), Settings(depth_samples=4)
     dark = LAMPS["inside"](1e-30)
-    kept = replace(settings, leave_out=settings.leave_out - {"faint_lamps"})
+    kept = replace(settings, optimizations=settings.optimizations - {"faint_lamps"})
     alone, beside = (picture(lights, settings=kept).multiple for lights in ([sun], [sun, dark]))
     np.testing.assert_allclose(beside, alone, rtol=1e-6, atol=1e-7 * alone.max())
 
@@ -433,9 +433,9 @@ def test_faint_lamps_are_left_out_by_name(light):
         PointLight((200.0, 0.0, 50.0), 9.0, name="far"),
         SpotLight((1, 0, 0), (-1, 0, 0), 1e-5, 1.0, name="weak"),
     ]
-    leave_out = ALL - {"shared_pixels"}
+    optimizations = ALL - {"shared_pixels"}
     without, every = (
-        picture(lights, settings=Settings(8, leave_out=names)) for names in (leave_out, leave_out - FAINT)
+        picture(lights, settings=Settings(8, optimizations=names)) for names in (optimizations, optimizations - FAINT)
     )
     assert [text.partition(":")[0] for text in without.report.left_out if "too weak or too far" in text] == [
         "far",

@@ -12,7 +12,7 @@ from tests.support.volumes import camera, cloud
 
 CACHE = RenderCache()
 # What interpolates pixels depends on the light.
-EXACT = Settings(depth_samples=4, leave_out=frozenset({"empty_space", "equal_channels"}))
+EXACT = Settings(depth_samples=4, optimizations=frozenset({"empty_space", "equal_channels"}))
 SUN, LAMP = Sun((0.4, 0.3, 0.8), 2.0, "key"), PointLight((0.1, 0.9, 0.6), 8.0, name="bulb")
 
 

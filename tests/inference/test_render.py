@@ -101,7 +101,7 @@ def test_same_seed_same_image_for_any_number_of_threads():
 
 def test_a_region_is_cut_out_of_the_whole():
     """With interpolated pixels: test_adaptive_interpolation.py."""
-    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(leave_out=ALL - {"shared_pixels"})
+    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(optimizations=ALL - {"shared_pixels"})
     whole = render(volumes, [SUN], camera(), settings)
     part = render(volumes, [SUN], camera(region=(5, 3, 17, 14)), settings)
     np.testing.assert_allclose(part.rgb, whole.rgb[3:14, 5:17], rtol=1e-4, atol=1e-7)
@@ -230,7 +230,7 @@ def test_fewer_samples_on_faint_rays_stay_below_the_reported_error():
             [(cloud(), Medium(3.0, 0.95, 0.5))],
             [SUN],
             camera(),
-            Settings(samples, leave_out=ALL - {"shared_pixels", *without}),
+            Settings(samples, optimizations=ALL - {"shared_pixels", *without}),
         )
 
     best, fewer, every = layer(64, "faint_rays"), layer(8), layer(8, "faint_rays")
@@ -312,20 +312,16 @@ def test_outside_the_trained_range_radiance_stays_finite_and_bounded(sigma_t, an
 @pytest.mark.parametrize("suns", [1, 2])
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])
 def test_tiles_equal_the_whole_image(monkeypatch, suns, model):
-    """Also where lookup lattices are not built for the view alone."""
     scene = [(cloud(), Medium(30.0, (0.9, 0.95, 1.0), 0.5))], [SUN, Sun((-0.6, 0.0, 0.8), 0.5)][:suns]
     scene += (camera(resolution=(50, 75)),)
     monkeypatch.setattr(plan, "TILE_BANDS", (4,))
     whole = render(*scene, Settings(2, model=model))
     monkeypatch.setattr(plan, "TILE_BANDS", (1,))
     tiled = render(*scene, Settings(2, model=model))
-    monkeypatch.setattr(plan, "VIEW_PIXELS", 0)
-    streamed = render(*scene, Settings(2, model=model))
-    said = [[words for words in layer.report.planned if "tiles" in words] for layer in (whole, tiled, streamed)]
-    assert said == [[], ["6 tiles of up to 1089 pixels"], ["6 tiles of up to 1089 pixels"]]
+    said = [[words for words in layer.report.planned if "tiles" in words] for layer in (whole, tiled)]
+    assert said == [[], ["6 tiles of up to 1089 pixels"]]
     for name in ("rgb", "alpha", "depth", "uncertainty"):
         np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
-        np.testing.assert_array_equal(getattr(streamed, name), getattr(whole, name))
 
 
 def test_a_volume_is_cut_by_the_clip_start():

@@ -129,6 +129,15 @@ def test_png_keeps_the_layers_alpha(command, blend):
     assert files(folder) == {"a.exr", "a.png"}
 
 
+@pytest.mark.parametrize("option", ["--optimizations", "--leave-out"])
+def test_optimizations_have_the_flag_of_earlier_versions_too(addon, option):
+    """A name that earlier versions knew is accepted."""
+    parser = addon.operators.command._parser()
+    parsed = parser.parse_args(["report", option, "empty_space,unread_fields,shared_pixels"])
+    assert parsed.optimizations == {"empty_space", "shared_pixels"}
+    assert "--leave-out" not in parser.format_help()
+
+
 @pytest.mark.parametrize(
     "arguments, said",
     [
@@ -146,7 +155,7 @@ def test_png_keeps_the_layers_alpha(command, blend):
         (["report", "--depth-samples", "1e9"], "'1e9' is not a whole number"),
         (["compare", "--seconds", "soon"], "'soon' is not a number"),
         (["report", "--depth-samples", "0"], "depth samples"),
-        (["report", "--leave-out", "empty_space,noise"], "no optimization 'noise'; there are: missed_pixels"),
+        (["report", "--optimizations", "empty_space,noise"], "no optimization 'noise'; there are: missed_pixels"),
         (["render", "--output", "x.exr", "--depth-samples", "0"], "depth samples"),
         (["render", "--output", "x.exr", "--depth-samples", "many"], "many"),
         (["render", "--output", "x.exr", "--threads", "-1"], "threads"),

@@ -41,11 +41,11 @@ def test_presets_set_the_samples_and_samples_show_the_preset(scene):
 
 
 def test_optimizations_are_chosen_one_by_one(addon, scene):
-    assert scene.mrpnn.leave_out == set(OPTIMIZATIONS) and scene.mrpnn.settings().leave_out == ALL
-    scene.mrpnn.leave_out = {"empty_space", "shared_pixels"}
-    assert scene.mrpnn.settings().leave_out == {"empty_space", "shared_pixels"}
-    scene.mrpnn.leave_out = set()
-    assert scene.mrpnn.settings().leave_out == frozenset()
+    assert scene.mrpnn.optimizations == set(OPTIMIZATIONS) and scene.mrpnn.settings().optimizations == ALL
+    scene.mrpnn.optimizations = {"empty_space", "shared_pixels"}
+    assert scene.mrpnn.settings().optimizations == {"empty_space", "shared_pixels"}
+    scene.mrpnn.optimizations = set()
+    assert scene.mrpnn.settings().optimizations == frozenset()
 
 
 def test_preferences_apply_where_the_scene_sets_nothing(addon, scene):
@@ -91,6 +91,26 @@ def test_files_of_the_first_version_are_brought_up_to_date(addon, scene, tmp_pat
     assert bpy.context.scene.mrpnn.model == "mrpnn"
     said = capfd.readouterr()
     assert "enum" not in said.out + said.err
+
+
+def test_files_in_which_optimizations_had_another_name_load(addon, scene, tmp_path):
+    """The same bits. Number 9 was that of an optimization that is gone."""
+    properties = addon.mrpnn_addon.settings.properties
+    stored = properties.stored_properties(scene)
+    stored["leave_out"], stored["version"] = 1 << 1 | 1 << 9 | 1 << 10 | 1 << 12, 2
+    path = str(tmp_path / "old.blend")
+    bpy.app.handlers.save_pre.remove(properties._before_save)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+    finally:
+        bpy.app.handlers.save_pre.append(properties._before_save)
+    for _ in range(2):
+        bpy.ops.wm.open_mainfile(filepath=path)
+        settings = bpy.context.scene.mrpnn
+        assert settings.settings().optimizations == {"empty_space", "unchanged", "shared_pixels"}
+        assert settings.version == properties.VERSION
+        assert "leave_out" not in properties.stored_properties(bpy.context.scene)
+        bpy.ops.wm.save_mainfile()
 
 
 @pytest.mark.parametrize("directions", [0, 5])
@@ -177,6 +197,27 @@ def test_a_missing_onnxruntime_is_named(addon, monkeypatch):
     runtime = addon.mrpnn_addon.runtime.onnxruntime_version
     assert runtime.runtime_version() is None and runtime.check_runtime() == []
     assert runtime.runtime_problem().startswith("onnxruntime, which MRPNN Volumes brings, is missing. Uninstall MRPNN")
+
+
+def test_a_zip_without_onnxruntime_says_so_and_takes_the_one_it_finds(addon, monkeypatch, tmp_path):
+    import build_extension
+
+    runtime = addon.mrpnn_addon.runtime.onnxruntime_version
+    name = "blender_manifest.toml"
+    files = build_extension.without_onnxruntime({name: (build_extension.ROOT / name).read_bytes()})
+    (tmp_path / name).write_bytes(files[name])
+    monkeypatch.setattr(runtime, "MANIFEST", tmp_path / name)
+    runtime.shipped_version.cache_clear()
+    try:
+        assert runtime.runtime_version() and runtime.runtime_problem() == "" and runtime.check_runtime() == []
+        monkeypatch.setattr(sys, "path", [])
+        for loaded in [loaded for loaded in sys.modules if loaded.partition(".")[0] == "onnxruntime"]:
+            monkeypatch.delitem(sys.modules, loaded)
+        assert runtime.runtime_problem() == "This zip of MRPNN Volumes brings no onnxruntime for Python {}.{}".format(
+            *sys.version_info
+        )
+    finally:
+        runtime.shipped_version.cache_clear()
 
 
 def test_the_shipped_onnxruntime_is_that_of_the_manifest(addon):

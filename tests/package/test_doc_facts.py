@@ -17,7 +17,7 @@ FACTS = [
     (
         "docs/weights.md",
         r"Held-back seeds of evened volumes end at 1 (600) (999), those of solids at 1 (500) (999)",
-        "training.data.volumes",
+        "training.procedural.volumes",
         (
             "max(HELD_BACK_SATURATED) // 1000 - 1000",
             "max(HELD_BACK_SATURATED) % 1000",
@@ -150,7 +150,7 @@ FACTS = [
     (
         "docs/method-details.md",
         r"behind an optical depth of (\d+)\.",
-        "inference.features.mip_lattices",
+        "inference.paper.sun_lattices",
         ("MAX_SHADOW_DEPTH",),
     ),
     ("docs/method.md", r"of (\d+) radiances L_k", "inference.network.environment_features", ("CANDIDATES",)),

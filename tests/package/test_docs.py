@@ -58,6 +58,7 @@ def test_exactly_the_commands_options_are_listed(addon):
         name
         for action in actions.choices.values()
         for known in action._actions
+        if known.help != argparse.SUPPRESS
         for name in known.option_strings
         if name.startswith("--")
     } - {"--help"}

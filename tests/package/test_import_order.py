@@ -29,13 +29,17 @@ ROOMS = {
         "scene",
         "kernels",
         "onnx",
+        "models",
         "occluders",
         "plan",
         "grids",
         "transport",
+        "source_terms",
+        "environments",
         "marching",
         "features",
         "network",
+        "paper",
         "render_cache",
         "image",
         "render",
@@ -140,6 +144,19 @@ def test_rooms_import_only_those_before_them(package):
         if path[1] not in order or order.index(path[1]) > order.index(module[1]):
             backwards.append((place, ".".join(path)))
     assert backwards == []
+
+
+def test_nothing_else_knows_the_papers_networks():
+    """They register with `network`; the package's `__init__` calls for that."""
+    names = ("mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", '"rpnn"')
+    knowing = []
+    for package in ("inference", "mrpnn_addon", "operators", "panels"):
+        for place, module, path in package_imports(package):
+            if path[:2] == ("inference", "paper") and module[:2] not in (path[:2], ("inference", "__init__")):
+                knowing.append(place)
+        files = [file for file in (ROOT / package).rglob("*.py") if file.parent.name != "paper"]
+        knowing += [file for file in files if any(name in file.read_text() for name in names)]
+    assert knowing == []
 
 
 def test_the_add_on_states_its_order():

@@ -2,6 +2,7 @@
 """Rules of Blender's platform for extensions that the source shows; CONTRIBUTING.md lists all."""
 
 import ast
+import re
 
 import pytest
 
@@ -68,3 +69,12 @@ def test_data_is_kept_where_blender_says():
         asks = "user_resource(" in source or "script_path_user(" in source
         # The second reads what other extensions bring.
         assert not asks or path.name in ("calibration.py", "onnxruntime_version.py"), path
+
+
+def test_threads_start_in_the_files_that_the_page_on_threads_names():
+    page = (ROOT / "docs" / "threads.md").read_text()
+    named = {path for path in SHIPPED if f"`{path.relative_to(ROOT).as_posix()}`" in page}
+    starts = re.compile(r"\b(Thread|Timer|ThreadPoolExecutor|ThreadPool|start_new_thread)\(")
+    # Workers are processes of their own.
+    found = {path for path in SHIPPED if path.name != "worker.py" and starts.search(path.read_text())}
+    assert found and found <= named

@@ -5,10 +5,14 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 
 import pytest
 
 from tests.support.paths import ROOT
+
+# Python files of one package.
+MOST_FILES = 16
 
 
 @pytest.mark.parametrize(
@@ -26,6 +30,12 @@ def test_modules_state_their_licence():
     modules = tracked.stdout.split()
     missing = [one for one in modules if "SPDX-License-Identifier: GPL-3.0-or-later" not in (ROOT / one).read_text()]
     assert len(modules) > 300 and not missing
+
+
+@pytest.mark.parametrize("package", ["inference", "mrpnn_addon", "operators", "panels", "training", "benchmarks"])
+def test_no_package_has_more_files_than_a_reader_overlooks(package):
+    files = Counter(path.parent.relative_to(ROOT) for path in (ROOT / package).rglob("*.py"))
+    assert {str(folder): count for folder, count in files.items() if count > MOST_FILES} == {}
 
 
 def test_pre_commit_runs_the_versions_of_the_requirements():

@@ -33,6 +33,7 @@ BLENDER_NEEDS = (
 )
 
 
+@pytest.mark.slow
 def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
     facts = build_extension.manifest()
     names = {f"{facts['id']}-{facts['version']}-{platform.replace('-', '_')}" for platform in facts["platforms"]}
@@ -77,6 +78,7 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
         assert {"inference/weights/uncertainty/mrpnn.onnx", "inference/weights/uncertainty/mrpnn.sha256"} <= set(names)
 
 
+@pytest.mark.slow
 def test_the_zips_and_wheels_are_the_same_to_the_byte_when_built_again(zips):
     def digests():
         return [hashlib.sha256(path.read_bytes()).hexdigest() for path in [*zips, *kernels]]

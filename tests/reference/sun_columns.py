@@ -6,10 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from inference.grids.bound_medium import BoundMedium
-from inference.grids.dense_columns import DenseColumns
 from inference.grids.optical_depth_sweep import Fraction, Weights, cubic, linear
 from inference.grids.sparse_columns import SparseColumns
-from inference.grids.sun_optical_depth import MAX_DEPTH, VISIBLE, SunOpticalDepth
+from inference.grids.sun_optical_depth import MAX_DEPTH, VISIBLE, DenseColumns, SunOpticalDepth
 from inference.numerics.interpolation import lerp_into
 from inference.numerics.intersection import box_interval
 from inference.plan.sun_columns import BEFORE, MORE, Shear, TilePlan

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from inference.environments.environment_light import DIRECTIONS
+from inference.environments.open_depths import LENGTHS, LEVELS, MIDDLES, REACH, OpenDepths
 from inference.kernels import library
 from inference.kernels.structures import Shared
-from inference.transport.environment_light import DIRECTIONS
-from inference.transport.open_depths import LENGTHS, LEVELS, MIDDLES, REACH, OpenDepths
 
 Fields = dict[str, Any]
 
@@ -85,22 +85,22 @@ def sweep_radiance(sweep: Fields) -> int:
 
 def fill_lattice(part: Fields) -> int:
     """The logarithm of a density, and what a depth lets pass, interpolated and rounded to 65536 steps."""
-    density, depth, visibility = (refined(part[name].fields) for name in ("density", "depth", "visibility"))
+    density, depth, visibility = (
+        refined(part[name].fields) if name in part else None for name in ("density", "depth", "visibility")
+    )
     if density is not None:
         feature = np.log(np.float32(1.0) + np.float32(part["density_scale"]) * density)
-        part["packed"][..., 0] = np.rint(np.minimum(feature * np.float32(1.0 / part["density_step"]), 65535.0))
+        part["packed"][...] = np.rint(np.minimum(feature * np.float32(1.0 / part["density_step"]), 65535.0))
     if depth is not None:
         passed, least = np.exp(np.float32(-part["depth_scale"]) * depth), np.float32(part["least_visible"])
         if visibility is not None:
             passed *= visibility * (np.float32(1.0) - least) + least
-        part["packed"][..., 1] = np.rint(passed * np.float32(65535.0))
+        part["packed"][...] = np.rint(passed * np.float32(65535.0))
     return 0
 
 
-def refined(grid: Fields) -> np.ndarray | None:
-    """A grid interpolated at fine cells, or None where there is none."""
-    if not grid:
-        return None
+def refined(grid: Fields) -> np.ndarray:
+    """A grid interpolated at fine cells."""
     values = grid["values"]
     for axis, (below, fraction) in enumerate(zip(grid["below"], grid["fraction"])):
         low, high = values.take(below, axis), values.take(below + 1, axis)

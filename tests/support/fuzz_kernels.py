@@ -35,15 +35,15 @@ from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.onnx.products import Layer
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import SunBeam
+from inference.source_terms.cell_sources import SunBeam
+from inference.source_terms.forward_peak import forward_peak
+from inference.source_terms.lamp_beam import LampInCube
+from inference.source_terms.peak_photons import LampInCells, peak_light
+from inference.source_terms.wide_light import Lobe, wide_light
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.forward_peak import forward_peak
-from inference.transport.lamp_beam import LampInCube
-from inference.transport.peak_photons import LampInCells, peak_light
 from inference.transport.radiance_sweep import sweep_radiance
 from inference.transport.scattered_fluence import FluenceLattice
-from inference.transport.wide_light import Lobe, wide_light
 from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32
@@ -212,23 +212,21 @@ def pyramid(random: np.random.Generator) -> None:
     halve(part, np.empty((7, 9, 5), np.float32))
     source, fine = tuple(random.integers(2, 9, 3).tolist()), tuple(random.integers(1, 20, 3).tolist())
     between = Between.of([random.uniform(-3.0, 12.0, n) for n in fine], source)
-    grids = [between.described(spoiled(random, source) if random.random() < 0.8 else None) for _ in range(3)]
+    names = [name for name in ("density", "depth", "visibility") if random.random() < 0.8]
+    grids = {name: between.described(spoiled(random, source)) for name in names}
     scales = 10.0 ** random.uniform(-6.0, 6.0, 3)
     scratch = np.empty(2 * fine[2] + source[2], np.float32)
-    packed = np.empty((*fine, 2), np.uint16)
+    packed = np.empty(fine, np.uint16)
     call(
         "fill_lattice",
         shape=np.array(fine),
-        density=grids[0],
-        depth=grids[1],
-        visibility=grids[2],
         density_scale=scales[0],
         density_step=scales[1],
         depth_scale=scales[2],
         least_visible=0.1,
         packed=packed,
-        columns=2,
         scratch=scratch,
+        **grids,
     )
 
 

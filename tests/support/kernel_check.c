@@ -142,10 +142,33 @@ static void check_pyramid(int64_t variant) {
     uint16_t packed[8];
     Refinement grid = {.values = fine, .shape = {4, 4, 4}, .below = {below, below, below}, .fraction = {fraction, fraction, fraction}};
     LatticePart part = {.shape = {2, 2, 2}, .density = grid, .density_scale = 0.1, .density_step = 1e-4,
-                        .packed = packed, .columns = 1, .scratch = scratch};
+                        .packed = packed, .scratch = scratch};
     prepare("mrpnn_fill_lattice", variant, &part);
     expect("fill_lattice", variant, packed[0], log(1.0 + 0.1 * 10.5) / 1e-4, 1.0);
     expect("fill_lattice", variant, packed[7], log(1.0 + 0.1 * 47.25) / 1e-4, 1.0);
+}
+
+/* A layer of a network in whole numbers, which every processor adds alike: more rows and columns than a tile has. */
+static void check_products(int64_t variant) {
+    enum { ROWS = 29, INNER = 5, WIDTH = 2 * MRPNN_PANEL + 3, PANELS = 3 };
+    static float left[ROWS * INNER], right[PANELS * INNER * MRPNN_PANEL], bias[PANELS * MRPNN_PANEL];
+    static float added[ROWS * WIDTH], out[ROWS * WIDTH];
+    for (int n = 0; n < ROWS * INNER; n++) left[n] = (float)(n % 7 - 3);
+    for (int n = 0; n < ROWS * WIDTH; n++) added[n] = (float)(n % 11 - 5);
+    for (int column = 0; column < WIDTH; column++) {
+        bias[column] = (float)(column % 3);
+        for (int k = 0; k < INNER; k++)
+            right[(column / MRPNN_PANEL * INNER + k) * MRPNN_PANEL + column % MRPNN_PANEL] = (float)((k + 2 * column) % 5 - 2);
+    }
+    MatrixProduct layer = {.rows = ROWS, .inner = INNER, .columns = WIDTH, .left = left, .right = right, .bias = bias,
+                           .added = added, .rectified = 1, .out = out};
+    prepare("mrpnn_multiply", variant, &layer);
+    for (int row = 0; row < ROWS; row++)
+        for (int column = 0; column < WIDTH; column++) {
+            float sum = bias[column] + added[row * WIDTH + column];
+            for (int k = 0; k < INNER; k++) sum += left[row * INNER + k] * (float)((k + 2 * column) % 5 - 2);
+            expect("multiply", variant, out[row * WIDTH + column], sum > 0.0f ? sum : 0.0f, 0.0);
+        }
 }
 
 #if defined(_WIN32)
@@ -177,6 +200,7 @@ int main(int count, char **arguments) {
         check_ordinates(variant);
         check_gradients(variant);
         check_pyramid(variant);
+        check_products(variant);
     }
 #if defined(_WIN32)
     check_replacing(arguments[1]);

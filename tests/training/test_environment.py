@@ -17,7 +17,7 @@ from inference.network.network import load_network
 from inference.network.predictor import VolumePredictor
 from training import export_environment, train_environment
 from training.data import environment_targets
-from training.data.seeded_volume import cube_volume, seeded_volume
+from training.procedural.seeded_volume import cube_volume, seeded_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import _encode, decode_directions, optical_depths, trace_camera_exits, trace_exits
 from training.tracer.path_tracer import Sampling
@@ -99,11 +99,10 @@ def test_training_and_rendering_read_the_same(folder):
     for sigma_hat, g in sorted({*zip(d["sigma_hat"], d["anisotropy"])}):
         own = np.flatnonzero((d["sigma_hat"] == sigma_hat) & (d["anisotropy"] == g))
         predictor = VolumePredictor(load_network("mrpnn"), volume, float(g))
-        bounds = np.full(3, -0.5), np.full(3, 0.5)
         for e, image in enumerate(d["environments"].astype(np.float32)):
             environment = Environment(np.repeat(image[..., None], 3, axis=2))
             sigma = float(sigma_hat) / predictor.cube.edge
-            prepared = predictor.prepare_environment(network, [environment], sigma, bounds)
+            prepared = predictor.prepare_environment(network, [environment], sigma)
             assert prepared.skies.channels == 1
             positions = predictor.cube.centre + predictor.cube.edge * d["position"][own] @ predictor.cube.rotation.T
             directions = d["omega"][own] @ predictor.cube.rotation.T

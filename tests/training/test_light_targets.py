@@ -59,6 +59,7 @@ def test_without_absorption_even_light_is_the_same_everywhere(uneven, vertices):
     np.testing.assert_allclose(radiance[:, 0, 0] + once[:, 0], 3.0, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_mask_in_which_both_albedos_are_equal_changes_nothing(uneven, vertices):
     mask = np.random.default_rng(2).random((CELLS,) * 3).astype(np.float32)
     scene = lights(suns=unit_vectors(2), environments=np.ones((1, 8, 16)))

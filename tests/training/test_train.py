@@ -24,11 +24,14 @@ from inference.network.network import load_network
 from inference.network.placed_lights import PlacedSun
 from inference.network.predictor import VolumePredictor
 from training import evaluate, export, memory, train
-from training.data.seeded_volume import seeded_volume
 from training.data.targets import ALBEDOS, SUNS, make_targets, rays_towards, unit_vectors
-from training.data.volumes import make_volume
 from training.networks import RayMRPNN
 from training.onnx_graph import linear_layers
+from training.procedural.seeded_volume import seeded_volume
+from training.procedural.volumes import make_volume
+
+# They make volumes and trace paths in them.
+pytestmark = pytest.mark.slow
 
 WEIGHTS = pathlib.Path(inference.__file__).parent / "weights"
 
@@ -56,7 +59,6 @@ def test_rows_are_complete_and_plausible(data):
         assert np.all(rows["albedo"][:, 0] == 1.0)
 
 
-@pytest.mark.slow
 def test_targets_follow_from_the_seed(data):
     again = make_targets(3, points=96, paths=4)
     with np.load(data / "0000003.npz") as rows:
@@ -107,7 +109,6 @@ def run(data, folder, steps):
     return torch.load(folder / "checkpoint.pt", weights_only=True)
 
 
-@pytest.mark.slow
 def test_training_learns_and_resumes_where_it_stopped(data, tmp_path, monkeypatch):
     monkeypatch.setattr(train, "BATCH", 256)
     monkeypatch.setattr(train, "WARM_UP", 5)
@@ -137,7 +138,6 @@ def test_a_batch_draws_from_the_folders_by_their_weights():
     np.testing.assert_allclose(few, few.mean(), atol=5 * np.sqrt(few.mean()))
 
 
-@pytest.mark.slow
 def test_training_resumes_from_exported_weights(data, tmp_path, monkeypatch):
     """They predict as onnxruntime does with the file, whatever the standardisation, and keep their history."""
     monkeypatch.setattr(train, "BATCH", 64)
@@ -311,7 +311,6 @@ def test_overfitting_is_told_from_error():
     assert squares / count == pytest.approx(((0.3 * noise) ** 2 * scale).mean(), rel=0.02)
 
 
-@pytest.mark.slow
 def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     file = tmp_path / "0000003.npz"
     np.savez(file, **make_targets(3, points=96, paths=64))
@@ -331,7 +330,6 @@ def test_targets_are_retraced_at_the_same_points(data, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("2 volumes, ")
 
 
-@pytest.mark.slow
 def test_evaluation_bins_every_row(data, tmp_path, capsys):
     checkpoint = tmp_path / "checkpoint.pt"
     torch.save({"averaged": RayMRPNN().state_dict(), "configuration": {"network": "mrpnn"}}, checkpoint)
@@ -362,7 +360,6 @@ def test_noise_shared_by_suns_is_told_from_their_own():
     assert evaluate.noise_correlation(noise, firsts) == pytest.approx(0.25, abs=0.02)
 
 
-@pytest.mark.slow
 def test_training_inputs_equal_those_of_rendering():
     """A target's descriptor and ray features equal those of inference for the same point and sun."""
     rows = make_targets(5, points=16, paths=2)
@@ -379,7 +376,7 @@ def test_training_inputs_equal_those_of_rendering():
         x, w = cube.positions(position), cube.directions(omega)
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
             predictor = VolumePredictor(loaded, volume, rows["anisotropy"][row])
-            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube), predictor.bounds(position)).prediction
+            reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube)).prediction
             features = reader.lookup(x, w, np.zeros(1, int))[0].T
             # Half precision in the file; a point at a cell's border may fall on either side.
             assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(

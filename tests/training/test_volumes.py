@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
-from training.data.noise import CELLS, TILE, Fractal, curl_tile
-from training.data.shapes import BOX, TORUS, ball_union, constructive_solid
-from training.data.solids import SOLIDS
-from training.data.volume_kinds import KINDS
-from training.data.volumes import (
+from training.procedural.noise import CELLS, TILE, Fractal, curl_tile
+from training.procedural.shapes import BOX, TORUS, ball_union, constructive_solid
+from training.procedural.solids import SOLIDS
+from training.procedural.volume_kinds import KINDS
+from training.procedural.volumes import (
     HELD_BACK,
     HELD_BACK_SATURATED,
     HELD_BACK_SOLIDS,
@@ -17,6 +17,9 @@ from training.data.volumes import (
     SOLID_SEEDS,
     make_volume,
 )
+
+# They make volumes and trace paths in them.
+pytestmark = pytest.mark.slow
 
 RESOLUTION = 40
 SEEDS = range(24)
@@ -48,7 +51,6 @@ def test_the_active_part_fills_the_cube_along_one_axis_and_is_centred(samples):
         assert np.abs(centres).max() < 0.08 * RESOLUTION, (seed, sample.kind, centres)
 
 
-@pytest.mark.slow
 def test_one_seed_gives_one_volume_and_another_seed_another():
     first, again, other = make_volume(2, 32), make_volume(2, 32), make_volume(8, 32)
     assert first.kind == again.kind == other.kind == "simulation"
@@ -72,7 +74,6 @@ def test_seeds_differ_in_character(samples):
     assert min(dense_share) < 0.05 and max(dense_share) > 0.9
 
 
-@pytest.mark.slow
 def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     seeds = [*SOLID_SEEDS[:8], *HELD_BACK_SOLIDS[:8]]
     samples = [make_volume(seed, RESOLUTION) for seed in seeds]
@@ -87,7 +88,6 @@ def test_seeds_of_solids_give_homogeneous_fog_with_hard_faces():
     assert not set(SOLID_SEEDS) & {*HELD_BACK_SOLIDS, *HELD_BACK}
 
 
-@pytest.mark.slow
 def test_saturated_seeds_give_clouds_and_smoke_with_homogeneous_cores():
     seeds = [*SATURATED_SEEDS[:8], *HELD_BACK_SATURATED[:8]]
     saturated = [make_volume(seed, RESOLUTION) for seed in seeds]

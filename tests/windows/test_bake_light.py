@@ -10,7 +10,7 @@ from tests.support.window import LONG, NEEDS_WINDOW
 pytestmark = NEEDS_WINDOW
 
 BAKE = "with over(area('VIEW_3D')): bpy.ops.mrpnn.bake_light('INVOKE_DEFAULT', folder=WORK + '/light', everything=True)"
-LEAVE_OUT = "LEAVE_OUT = bpy.context.scene.mrpnn.leave_out\n"
+OPTIMIZATIONS = "OPTIMIZATIONS = bpy.context.scene.mrpnn.optimizations\n"
 LIGHTS = "[o for o in bpy.data.objects if 'mrpnn_light' in o]"
 # Every call of a kernel takes a twentieth of a second more.
 SLOW = """
@@ -64,13 +64,13 @@ def compiled(window, name):
 
 def test_esc_stops_a_bake_and_changes_nothing(lit):
     # Otherwise this small bake ends before anybody could press Esc.
-    lit.do(SLOW + LEAVE_OUT + "bpy.context.scene.mrpnn.leave_out = set()")
+    lit.do(SLOW + OPTIMIZATIONS + "bpy.context.scene.mrpnn.optimizations = set()")
     try:
         lit.do(BAKE)
         lit.press("Escape")
         lit.until(f"not {BAKING}")
     finally:
-        lit.do("library.load_kernels = fast; bpy.context.scene.mrpnn.leave_out = LEAVE_OUT")
+        lit.do("library.load_kernels = fast; bpy.context.scene.mrpnn.optimizations = OPTIMIZATIONS")
     assert lit.do(f"print(len({LIGHTS}), bpy.context.scene.mrpnn_light.active)") == "0 False"
 
 
@@ -84,3 +84,21 @@ def test_eevee_shows_baked_light_and_removal_takes_it_away(lit):
     lit.do("with over(area('VIEW_3D')): bpy.ops.mrpnn.bake_light_remove()")
     assert lit.do(f"print(len({LIGHTS}))") == "0"
     assert compiled(lit, "bake-removed") == pytest.approx(dark, rel=0.02)
+
+
+def test_an_animation_is_baked_while_blender_stays_usable(lit):
+    lit.do(
+        "scene = bpy.context.scene; scene.frame_start, scene.frame_end = 1, 2; scene.frame_set(2)\n"
+        "sun = bpy.data.objects['Sun']\n"
+        "for frame, angle in ((1, 0.9), (2, 1.5)):\n"
+        "    sun.rotation_euler[0] = angle; sun.keyframe_insert('rotation_euler', frame=frame)"
+    )
+    animate = BAKE.replace("bake_light", "bake_animation").replace("everything=True", "directional=False")
+    lit.do(animate)
+    lit.until(f"len({LIGHTS}) == 1 and not {BAKING}")
+    assert lit.do(f"print({LIGHTS}[0].data.is_sequence, scene.frame_current)") == "True 2"
+    # Nothing has changed.
+    lit.do(animate)
+    lit.until(f"not {BAKING}")
+    lit.do("sun.animation_data_clear()")
+    assert "Traceback" not in lit.console

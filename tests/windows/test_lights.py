@@ -61,6 +61,7 @@ def until(window, place, lit):
     start = time.monotonic()
     while (warmth(window, place) > 10) != lit:
         assert time.monotonic() - start < LONG / 3, window.do(f"print({STATUS})") + window.console[-2000:]
+        time.sleep(0.2)
     window.until(f"not {THREADS}")
 
 

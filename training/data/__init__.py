@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Training data: procedural volumes, and rows of descriptors with path-traced targets."""
+"""Training data: rows of descriptors of procedural volumes, with path-traced targets."""

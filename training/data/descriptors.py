@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Descriptors of many points with an extinction each, for training data.
 
-The same features as `inference.features.descriptors`, computed the other way round: instead of one lookup in a prepared
+The same features as `inference.paper.descriptors`, computed the other way round: instead of one lookup in a prepared
 lattice, each point is moved to the centre of its fine cell, where density and optical depth are interpolated. No
 lattice is built, so every point can have its own extinction.
 """
@@ -11,17 +11,30 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from inference.features.descriptors import stencil_points
-from inference.features.mip_lattices import BETA, DENSITY_SCALE, FINE, margins
-from inference.features.stencil import Stencil
+from inference.features.mip_lattices import DENSITY_SCALE, FINE, margins
+from inference.features.stencil import LOW_POINTS, POINTS, Stencil, frames
+from inference.paper.sun_lattices import BETA
 from inference.plan.resolution import LEVEL0_CELLS
+
+
+def stencil_points(stencil: Stencil, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
+    """The stencil around each position: float32 (N, 192, 3) in the cube's frame.
+
+    positions: (N, 3). omega: (N, 3) camera-ray directions. sun: (3,) unit vector.
+    """
+    points = np.empty((len(positions), POINTS, 3), np.float32)
+    rotation = frames(omega, sun).astype(np.float32)
+    np.matmul(stencil.low, rotation.transpose(0, 2, 1), out=points[:, :LOW_POINTS])
+    points[:, LOW_POINTS:] = stencil.high[:, None] * sun.astype(np.float32)
+    points += positions[:, None].astype(np.float32)
+    return points
 
 
 class Levels(NamedTuple):
     """What descriptors read, on padded grids of the cube's frame.
 
     density: mips 0..7, from `padded_levels`; sun_depths: optical depth towards the sun for extinction 1 per cube edge
-    through mips 1..7, from `unit_optical_depths`, both in `inference.features.mip_lattices`.
+    through mips 1..7, from `inference.paper.sun_lattices.unit_optical_depths`.
     """
 
     density: list[np.ndarray]

@@ -26,24 +26,24 @@ import time
 
 import numpy as np
 
-from inference.features.mip_lattices import density_pyramid, padded_levels
-from inference.features.stencil import LOW_POINTS, SPARSE
-from inference.grids.working_cube import fit_cube, level0_density
-from inference.network.environment_features import probe_positions
-from inference.transport.discrete_ordinates import LEVEL
-from inference.transport.environment_light import (
+from inference.environments.environment_light import (
     ALBEDOS,
     ordinate_radiance,
     read_lattice,
     solve_environment,
 )
-from inference.transport.open_depths import OpenDepths, direction_depths
+from inference.environments.open_depths import OpenDepths, direction_depths
+from inference.features.mip_lattices import density_pyramid, padded_levels
+from inference.features.stencil import LOW_POINTS, SPARSE
+from inference.grids.working_cube import fit_cube, level0_density
+from inference.network.environment_features import probe_positions
+from inference.transport.discrete_ordinates import LEVEL
 from training.data.descriptors import Levels, describe_points
 from training.data.environments import random_environment
-from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
 from training.data.targets import draw_anisotropy, parse_range, unit_vectors
 from training.files import complete_file
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import optical_depths, trace_exits
 from training.tracer.path_tracer import Sampling, sample_scattering_points

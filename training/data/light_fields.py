@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from inference import Volume
+from inference.environments.environment_light import ordinate_radiance
 from inference.features.mip_lattices import density_pyramid
 from inference.grids.grid import Grid
 from inference.grids.working_cube import Cube, level0_density
 from inference.marching.lamp_in_media import COARSE as LAMP_EMITTERS
 from inference.marching.lamp_in_media import lamp_key
 from inference.runtime.cancellation import NEVER
-from inference.transport.cell_sources import LampBeam, SunBeam
+from inference.source_terms.cell_sources import LampBeam, SunBeam
+from inference.source_terms.lamp_beam import LampInCube
 from inference.transport.discrete_ordinates import DiscreteOrdinates
-from inference.transport.environment_light import ordinate_radiance
-from inference.transport.lamp_beam import LampInCube
 from inference.transport.radiance_sweep import sweep_radiance
 from training.data.light_scene import LightScene
 from training.tracer.light_paths import AlbedoField, LitMedium

@@ -11,9 +11,9 @@ import numpy as np
 
 from inference import PointLight, SpotLight
 from training.data.environments import random_environment
-from training.data.noise import Fractal
-from training.data.seeded_volume import seeded_volume
 from training.data.targets import ALBEDOS, draw_albedos, draw_anisotropy, draw_sigma, rays_towards, unit_vectors
+from training.procedural.noise import Fractal
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.density_grid import DensityGrid
 from training.tracer.light_paths import AlbedoField, Lights, LitMedium
 from training.tracer.path_tracer import sample_scattering_points

@@ -37,8 +37,8 @@ import numpy as np
 
 from training.data.light_scene import LightScene, draw_light_points, light_scene
 from training.data.targets import parse_range
-from training.data.volumes import HELD_BACK
 from training.files import complete_file
+from training.procedural.volumes import HELD_BACK
 from training.tracer.density_grid import prepare
 from training.tracer.gpu_paths import available, trace_on_gpu
 from training.tracer.light_paths import PathScene, trace_paths

@@ -32,21 +32,22 @@ from inference import Medium
 from inference.features.descriptors import angle_to_sun
 from inference.features.final_gather import DIRECTIONS, VALUES, FinalGather, unit_sun_depth
 from inference.features.final_gather import LEVEL as GATHER_LEVEL
-from inference.features.mip_lattices import density_pyramid, padded_levels, unit_optical_depths
+from inference.features.mip_lattices import density_pyramid, padded_levels
 from inference.features.stencil import frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.marching.marcher import ray_features_at
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
-from inference.transport.cell_sources import SunBeam
+from inference.paper.sun_lattices import unit_optical_depths
+from inference.source_terms.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from inference.transport.scattered_fluence import COLUMNS as AROUND_COLUMNS
 from inference.transport.scattered_fluence import FluenceLattice, ScatteredFluence, fluence_and_flux, fluence_lattice
 from training.data.descriptors import Levels, describe_points
-from training.data.seeded_volume import seeded_volume
 from training.data.stencil import load_stencil
 from training.files import write_rows
+from training.procedural.seeded_volume import seeded_volume
 from training.tracer.path_tracer import Sampling, Scene, Vertices, sample_scattering_points, trace_points
 
 #: Extinction per cube edge where density is 1.

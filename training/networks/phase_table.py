@@ -5,8 +5,8 @@ import math
 
 import torch
 
-from inference.features.phase_features import PhaseFeatures
 from inference.features.stencil import POINTS
+from inference.paper.phase_features import PhaseFeatures
 from training.data.stencil import load_stencil
 
 

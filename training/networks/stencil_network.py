@@ -62,7 +62,7 @@ class StencilNetwork(nn.Module):
         return o
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that `inference.network.stencil_predictor` feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that `inference.paper.stencil_predictor` feeds."""
         g.input("features", [3, "N", POINTS])
         g.input("anisotropy", ["N"])
         g.input("gamma", ["N"])

@@ -33,7 +33,7 @@ from tests.support.volumes import SUN, box, camera, cloud
 
 MEDIUM = Medium(20.0, (1.0, 0.9, 0.8), 0.6)
 EVERY_VOXEL = ALL - {"unseen_voxels", "smooth_light", "small_voxels"}
-EXACT = Settings(directional=False, leave_out=EVERY_VOXEL)
+EXACT = Settings(directional=False, optimizations=EVERY_VOXEL)
 
 
 def looking(direction) -> Camera:
@@ -258,9 +258,9 @@ def test_voxels_far_smaller_than_pixels_are_joined():
     assert totals[1] == pytest.approx(totals[0], rel=0.1)
 
 
-def in_view(leave_out, medium, voxels):
+def in_view(optimizations, medium, voxels):
     volume, view = cloud(voxels=voxels), camera(resolution=(48, 32))
-    [lit] = bake([(volume, medium)], [SUN], view, Settings(directional=False, leave_out=leave_out))
+    [lit] = bake([(volume, medium)], [SUN], view, Settings(directional=False, optimizations=optimizations))
     return seen_through(volume, medium, lit, view), lit.report.counts
 
 
@@ -280,7 +280,7 @@ def test_each_optimization_stays_within_its_budget_and_has_an_effect(name, mediu
 def test_joined_voxels_stay_within_their_budget():
     volume, view = cloud(voxels=96), camera(resolution=(24, 16))
     [joined] = bake([(volume, MEDIUM)], [SUN], view, Settings(directional=False))
-    [every] = bake([(volume, MEDIUM)], [SUN], view, Settings(directional=False, leave_out=ALL - {"small_voxels"}))
+    [every] = bake([(volume, MEDIUM)], [SUN], view, Settings(directional=False, optimizations=ALL - {"small_voxels"}))
     assert joined.emission.size < every.emission.size
     # Seen by pixels that are means over their area, as a camera's are.
     fine = camera(resolution=(96, 64))

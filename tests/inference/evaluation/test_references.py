@@ -7,8 +7,8 @@ import pytest
 from benchmarks.fidelity import pictures, views
 from inference import Camera, Medium, Settings, Sun, render
 from inference.evaluation.error import relative_bias, relative_rmse
-from training.data.seeded_volume import cube_volume
-from training.data.volumes import HELD_BACK, make_volume
+from training.procedural.seeded_volume import cube_volume
+from training.procedural.volumes import HELD_BACK, make_volume
 from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, trace_pixels
 
 BIAS, RMSE = 0.10, 0.30

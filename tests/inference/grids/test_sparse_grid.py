@@ -109,7 +109,7 @@ def rendered(pairs, suns):
     matrix[:3, :3] *= np.linalg.det(matrix[:3, :3])
     matrix[:3, 3] = 3.0 * matrix[:3, 2]
     # Which pixels are interpolated can depend on the last digit.
-    settings = Settings(2, threads=1, leave_out=ALL - {"shared_pixels"})
+    settings = Settings(2, threads=1, optimizations=ALL - {"shared_pixels"})
     return render(pairs, suns, Camera(matrix, resolution=(24, 24), fov=0.3), settings)
 
 

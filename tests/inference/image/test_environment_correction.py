@@ -8,7 +8,7 @@ from benchmarks.fidelity.environments import VIEWS, cameras, compare, environmen
 from inference import Camera, Environment, Medium, Settings, Sun, Surface, render
 from inference.image import environment_correction
 from tests.support.volumes import cloud
-from training.data.seeded_volume import seeded_volume
+from training.procedural.seeded_volume import seeded_volume
 
 WITHOUT = Settings(light_paths=False)
 MEDIUM = Medium(40.0, 0.95, 0.8)

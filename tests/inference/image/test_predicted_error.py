@@ -9,7 +9,7 @@ import pytest
 from benchmarks.fidelity.drawn_views import drawn_view
 from inference import Environment, Medium, PointLight, Settings, Sun, render
 from inference.image.predicted_error import BIAS, MOST_OF_PICTURES, MOST_OF_PIXELS, SparseDeviation
-from inference.network import weights_file
+from inference.models import weights_file
 from inference.network.baselines import register_baselines
 from inference.network.uncertainty import load_uncertainty_network
 from inference.scene.errors import SceneError

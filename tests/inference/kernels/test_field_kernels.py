@@ -9,13 +9,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from inference import Medium, PointLight, Surface, Volume
+from inference.environments.open_depths import OpenDepths, direction_depths
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import (
-    SunLevels,
-    build_lattices,
+    density_lattices,
     density_pyramid,
     padded_pyramid,
-    unit_optical_depths,
 )
 from inference.grids import working_cube
 from inference.grids.dense_grid import DenseGrid
@@ -32,15 +31,15 @@ from inference.kernels.library import Kernels
 from inference.marching.lamp_in_media import LEAST_FACING, place_lamp, softened
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
+from inference.paper.sun_lattices import SunLevels, sun_lattices, unit_optical_depths
 from inference.runtime.cancellation import Cancelled, CancelToken
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import LampBeam, SunBeam
+from inference.source_terms.cell_sources import LampBeam, SunBeam
+from inference.source_terms.lamp_beam import LampInCube
+from inference.source_terms.lamp_cells import LampCells, light_in_cells
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
-from inference.transport.lamp_beam import LampInCube
-from inference.transport.lamp_cells import LampCells, light_in_cells
-from inference.transport.open_depths import OpenDepths, direction_depths
 from inference.transport.radiance_sweep import sweep_radiance
 from tests.reference.cells import halved, mean_cells, resampled_values
 from tests.reference.final_gather import gathered
@@ -306,20 +305,19 @@ def test_lattices(model, sigma_hat):
     """Rounding may move a value to the next of 65536 steps."""
     stencil, volume = load_network(model).points, Volume(some_density("lumps", (30, 30, 30)), np.eye(4), "cloud")
     padded = padded_pyramid(volume, fit_cube(volume), stencil)
-    sun = None
-    if model == "mrpnn-paper":
-        depths = unit_optical_depths(padded, np.array([0.48, 0.6, 0.64]))
-        sun = SunLevels(
-            depths, [np.random.default_rng(m).random(depth.shape, np.float32) for m, depth in enumerate(depths)]
-        )
-    arguments = padded, sigma_hat, stencil, sun, (-0.05, 0.04)
+    depths = unit_optical_depths(padded, np.array([0.48, 0.6, 0.64]))
+    visible = [np.random.default_rng(m).random(depth.shape, np.float32) for m, depth in enumerate(depths)]
+    medium = sigma_hat, stencil, (-0.05, 0.04)
+
+    def lattices():
+        return density_lattices(padded, *medium), sun_lattices(SunLevels(depths, visible), *medium)
+
     with in_numpy():
-        expected = build_lattices(*arguments).values.view(np.uint16).astype(int)
-    assert expected.max() > 30000
-    for lattices in every_variant(lambda: build_lattices(*arguments)):
-        found = lattices.values.view(np.uint16)
-        assert np.abs(found - expected).max() <= 1
-        assert np.mean(found != expected) < 0.002
+        expected = [lattice.values.astype(int) for lattice in lattices()]
+    for found in every_variant(lattices):
+        for kernel, numpy in zip(found, expected):
+            assert numpy.max() > 30000 and np.abs(kernel.values - numpy).max() <= 1
+            assert np.mean(kernel.values != numpy) < 0.002
 
 
 @pytest.mark.parametrize("sparse", [False, True])

@@ -16,7 +16,7 @@ from inference.runtime.cancellation import Cancelled
 from tests.support.kernels import VARIANTS, variant
 from tests.support.marches import Recipe, random_scene
 from tests.support.volumes import cloud
-from training.data.seeded_volume import cube_volume
+from training.procedural.seeded_volume import cube_volume
 from training.tracer.density_grid import prepare
 from training.tracer.exits import decode_directions, trace_camera_exits
 from training.tracer.path_tracer import Sampling

@@ -50,9 +50,9 @@ def test_depths_at_voxels_are_those_of_the_mean_transmittance(lamp):
     assert np.sqrt((error[far] ** 2).mean()) < 0.02 * np.sqrt(((passed / light)[far] ** 2).mean())
 
 
-def picture(lamp, leave_out, density=20.0, surfaces=(), size=(384, 256), anisotropy=0.857):
+def picture(lamp, optimizations, density=20.0, surfaces=(), size=(384, 256), anisotropy=0.857):
     medium = Medium(density, (0.99, 0.9, 0.9), anisotropy)
-    settings = Settings(8, leave_out=leave_out)
+    settings = Settings(8, optimizations=optimizations)
     return render([(CLOUD, medium)], [lamp], camera(resolution=size), settings, None, None, CACHE, surfaces)
 
 

@@ -10,11 +10,11 @@ import torch
 
 import training.reference
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
-from inference.network import weights_file
+from inference.models import weights_file
 from inference.scene import SceneError
-from training.data.seeded_volume import cube_volume
 from training.export import export, save
 from training.networks import RPNN
+from training.procedural.seeded_volume import cube_volume
 from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, Vertices, trace_pixels, trace_points
 
 SUN = Sun((0.6, 0.5, 0.62))

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import torch
 
-from inference.features import rpnn_lattice
 from inference.features.stencil import Stencil
-from inference.network import network, weights_file
+from inference.models import weights_file
+from inference.network import network
+from inference.paper import rpnn_lattice
 from inference.scene import SceneError
 from training.data.stencil import load_stencil
 from training.export import export, save

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from inference import Camera, Medium, Settings, Sun, Volume, render
-from inference.network import provider, weights_file
+from inference.models import weights_file
+from inference.network import provider
 from inference.scene import SceneError
 from tests.support.paths import ROOT
 

@@ -102,7 +102,7 @@ def test_the_image_does_not_depend_on_tiles_and_threads():
     one, two = (render([(fog(), medium)], [SUN], view, Settings(threads=n), surfaces=[wall]) for n in (1, 2))
     np.testing.assert_array_equal(one.rgb, two.rgb)
     part = Camera(view.world_matrix, view.projection, view.resolution, view.fov, region=(3, 2, 13, 9))
-    settings = Settings(leave_out=ALL - {"shared_pixels"})
+    settings = Settings(optimizations=ALL - {"shared_pixels"})
     whole, cut_out = (render([(fog(), medium)], [SUN], seen, settings, surfaces=[wall]).rgb for seen in (view, part))
     np.testing.assert_allclose(cut_out, whole[2:9, 3:13], rtol=1e-4, atol=1e-6)
 

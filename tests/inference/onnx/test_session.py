@@ -5,8 +5,9 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from inference.network.weights_file import WEIGHTS
+from inference.models.weights_file import WEIGHTS
 from inference.onnx.model_file import MalformedFile, read_model
+from inference.onnx.operators import CACHED, NEW_MEMORY, OPERATORS
 from inference.onnx.products import Layer
 from inference.onnx.session import Session
 from tests.support.kernels import VARIANTS, variant
@@ -45,8 +46,11 @@ def test_every_network_predicts_what_onnxruntime_predicts(path, number):
     for seed in range(3):
         given = inputs(expected, seed)
         (theirs,) = expected.run(names, given)
+        before = {name: value.copy() for name, value in given.items()}
         with variant(number):
             (ours,) = found.run(names, given)
+        for name, value in before.items():
+            np.testing.assert_array_equal(given[name], value)
         assert ours.dtype == theirs.dtype and np.isfinite(theirs).all()
         np.testing.assert_allclose(ours, theirs, rtol=1e-4 if seed else 1e-5, atol=1e-5 * np.abs(theirs).max())
 
@@ -59,6 +63,25 @@ def test_points_do_not_depend_on_their_neighbours():
     (whole,) = session.run(["radiance"], given)
     some = {name: value[:48] if len(value) == SIZES["N"] else value for name, value in given.items()}
     np.testing.assert_array_equal(session.run(["radiance"], some)[0], whole[:, :48])
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (3, 0, 7), (2, 9, 7, 4), (CACHED // 50, 7, 30)], ids=str)
+def test_arrays_are_split_along_any_axis(shape):
+    x = np.random.default_rng(0).random(shape, np.float32)
+    axis = shape.index(7)
+    for number in (axis, axis - x.ndim):
+        parts = OPERATORS["Split"](x, np.array([2, 0, 5]), axis=number)
+        for found, expected in zip(parts, np.split(x, [2, 2], axis), strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("operation", sorted(NEW_MEMORY & {"ReduceMax", "ReduceMean", "Softmax", "Split", "Concat"}))
+@pytest.mark.parametrize("width", [1, 2, 13])
+def test_what_is_said_to_be_new_shares_no_memory(operation, width):
+    x = np.random.default_rng(0).random((5, width), np.float32)
+    options = {"ReduceMax": {"axes": (1,)}, "ReduceMean": {"axes": (1,)}}.get(operation, {"axis": 1})
+    made = OPERATORS[operation](x, *([np.array([width])] if operation == "Split" else []), **options)
+    assert not any(np.shares_memory(x, value) for value in (made if isinstance(made, list) else [made]))
 
 
 @pytest.mark.parametrize("number", VARIANTS)

@@ -25,9 +25,11 @@ def row(count=5, towards=(0.4, 0.3, 0.8), **changes):
     return [SpotLight(place, -place, 20.0 + 9.0 * k, 0.5, 0.3, 0.03, **changes) for k, place in enumerate(places)]
 
 
-def picture(lights, leave_out=JOINED, surfaces=()):
+def picture(lights, optimizations=JOINED, surfaces=()):
     medium = Medium(40.0, (0.99, 0.9, 0.9), 0.857)
-    return render([(CLOUD, medium)], lights, camera(), Settings(4, leave_out=leave_out), None, None, CACHE, surfaces)
+    return render(
+        [(CLOUD, medium)], lights, camera(), Settings(4, optimizations=optimizations), None, None, CACHE, surfaces
+    )
 
 
 def change(layer, other):

@@ -6,21 +6,20 @@ import math
 import numpy as np
 import pytest
 
-from inference import Camera, Environment, Medium, RenderCache, SceneError, Settings, Sun, Volume, render
-from inference.network import environment_features as features
-from inference.network.baselines import register_baselines
-from inference.network.environment_network import FOLDER, load_environment_network
-from inference.network.network import load_network
-from inference.network.predictor import VolumePredictor
-from inference.network.weights_file import WEIGHTS
-from inference.plan.lights import ENVIRONMENT_MODELS
-from inference.plan.plan import make_plan
-from inference.scene.environment import pixel_directions, pixel_solid_angles
-from inference.scene.phase_function import henyey_greenstein
-from inference.transport.blurred_environment import blurred
-from inference.transport.cell_sources import EnteringLight
-from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
-from inference.transport.environment_light import (
+from inference import (
+    Camera,
+    Environment,
+    Medium,
+    RenderCache,
+    SceneError,
+    Settings,
+    Sun,
+    Volume,
+    available_models,
+    render,
+)
+from inference.environments.blurred_environment import blurred
+from inference.environments.environment_light import (
     ALBEDOS,
     DIRECTION_WEIGHTS,
     DIRECTIONS,
@@ -29,7 +28,19 @@ from inference.transport.environment_light import (
     image_in_frame,
     ordinate_radiance,
 )
-from inference.transport.open_depths import OpenDepths, direction_depths
+from inference.environments.open_depths import OpenDepths, direction_depths
+from inference.models.abilities import abilities
+from inference.models.weights_file import WEIGHTS
+from inference.network import environment_features as features
+from inference.network.baselines import register_baselines
+from inference.network.environment_network import FOLDER, load_environment_network
+from inference.network.network import load_network
+from inference.network.predictor import VolumePredictor
+from inference.plan.plan import make_plan
+from inference.scene.environment import pixel_directions, pixel_solid_angles
+from inference.scene.phase_function import henyey_greenstein
+from inference.source_terms.cell_sources import EnteringLight
+from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.ordinates import ORDINATE_WEIGHTS
 
 
@@ -226,7 +237,8 @@ def test_every_candidate_is_the_radiance_of_even_light():
 
 
 def test_every_network_for_environments_stands_beside_one_for_suns():
-    assert {path.stem for path in (WEIGHTS / FOLDER).glob("*.onnx")} == ENVIRONMENT_MODELS
+    beside = {path.stem for path in (WEIGHTS / FOLDER).glob("*.onnx")}
+    assert beside == {name for name in available_models() if abilities(name).every_light} == {"mrpnn"}
     network = load_environment_network("mrpnn")
     random = np.random.default_rng(2)
     x = random.normal(size=(30, features.COLUMNS)).astype(np.float32)
@@ -314,9 +326,8 @@ def test_the_estimate_of_memory_includes_the_lattices():
     dome, sun = Environment(sky()), Sun((0.3, 0.4, 0.8))
     with_dome, without = (make_plan([(BLOB, medium)], lights, camera(), settings) for lights in ([sun, dome], [sun]))
     predictor = VolumePredictor(load_network("mrpnn"), BLOB, 0.5)
-    bounds = np.full(3, -0.5), np.full(3, 0.5)
     network = load_environment_network("mrpnn")
-    prepared = predictor.prepare_environment(network, [dome], 15.0, bounds)
+    prepared = predictor.prepare_environment(network, [dome], 15.0)
     held = sum(values.nbytes for values in vars(prepared).values() if isinstance(values, np.ndarray))
     held += prepared.depths.lattice.nbytes
     # While they are padded, both copies are held.

@@ -35,7 +35,7 @@ def test_a_sharp_sun_is_one_direction():
 def test_joined_parts_look_as_each_alone_and_cost_less(degrees, sigma_t, anisotropy, parts):
     volumes, suns = [(cloud(), Medium(sigma_t, 0.98, anisotropy))], soft_sun((0.0, -1.0, 0.2), 1.0, np.radians(degrees))
     joined, each = (
-        render(volumes, suns, camera(resolution=(24, 16)), Settings(8, leave_out=without))
+        render(volumes, suns, camera(resolution=(24, 16)), Settings(8, optimizations=without))
         for without in (SEPARATE | {"soft_suns"}, SEPARATE)
     )
     shown = each.alpha > 0.02
@@ -47,7 +47,7 @@ def test_joined_parts_look_as_each_alone_and_cost_less(degrees, sigma_t, anisotr
 
 
 def test_a_soft_sun_is_linear_in_its_irradiance():
-    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(2, leave_out=ALL - {"shared_pixels"})
+    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(2, optimizations=ALL - {"shared_pixels"})
     one, four = (
         render(volumes, soft_sun(AXIS, light, 0.4), camera(resolution=(12, 8)), settings).multiple for light in (1, 4)
     )
@@ -57,7 +57,7 @@ def test_a_soft_sun_is_linear_in_its_irradiance():
 @pytest.mark.slow
 def test_baked_light_joins_the_parts_too():
     volumes, suns = [(cloud(voxels=16), Medium(30.0, 0.98, 0.5))], soft_sun(AXIS, 1.0, np.radians(30.0))
-    settings = (Settings(leave_out=without, directional=False) for without in (SEPARATE | {"soft_suns"}, SEPARATE))
+    settings = (Settings(optimizations=without, directional=False) for without in (SEPARATE | {"soft_suns"}, SEPARATE))
     joined, each = (bake(volumes, suns, settings=one)[0].emission for one in settings)
     # Of voxels: pixels, for which the budget is stated, average over them.
     assert np.sqrt(np.mean((joined - each) ** 2)) < 0.025 * each.mean() and not np.array_equal(joined, each)
@@ -65,7 +65,7 @@ def test_baked_light_joins_the_parts_too():
 
 def test_suns_that_are_part_of_nothing_stay_apart():
     """Two suns are two predictions."""
-    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(1, leave_out=ALL - {"shared_pixels"})
+    volumes, settings = [(cloud(), Medium(30.0, 0.9, 0.5))], Settings(1, optimizations=ALL - {"shared_pixels"})
     counts = [
         render(volumes, suns, camera(resolution=(12, 8)), settings).report.counts["network points"]
         for suns in ([Sun(AXIS)], [Sun(AXIS), Sun((0.0, 0.0, 1.0))])

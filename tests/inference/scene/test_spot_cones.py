@@ -110,6 +110,7 @@ def test_rays_are_lit_between_the_ends_of_the_cone_alone(angle, radius):
         assert np.mean(lit != between) < 1e-5
 
 
+@pytest.mark.slow
 def test_a_beam_narrower_than_steps_shows_no_grain():
     """Single scattering of a beam through even smoke, seen from the side, column by column."""
     sigma, half, image, height = 2.0, 0.01, 512, 0.02

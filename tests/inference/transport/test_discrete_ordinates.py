@@ -8,8 +8,8 @@ from inference import Volume
 from inference.grids.working_cube import fit_cube
 from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import reduced_anisotropy
+from inference.source_terms.cell_sources import SunBeam
 from inference.transport import scattered_fluence
-from inference.transport.cell_sources import SunBeam
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.ordinates import STEPS, solid_angles
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points

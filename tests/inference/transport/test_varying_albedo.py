@@ -7,7 +7,7 @@ import pytest
 from inference import Environment, Medium, PointLight, SceneError, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
-from inference.transport.cell_sources import EnteringLight, SunBeam
+from inference.source_terms.cell_sources import EnteringLight, SunBeam
 from inference.transport.discrete_ordinates import DiscreteOrdinates
 from tests.support.volumes import SUN, camera, cloud
 
@@ -27,7 +27,7 @@ def draw(albedo, light=SUN, volume=None, anisotropy=0.4, exact=True, **settings)
     """The layer of a cloud; exact: without interpolation between pixels, which decides anew for each picture."""
     left = ALL - {"shared_pixels"} if exact else ALL
     medium = Medium(12.0, albedo, anisotropy)
-    return render([(volume or cloud(), medium)], [light], camera(), Settings(threads=1, leave_out=left, **settings))
+    return render([(volume or cloud(), medium)], [light], camera(), Settings(threads=1, optimizations=left, **settings))
 
 
 def close(found, expected, tolerance):
@@ -153,7 +153,7 @@ def test_overlapping_volumes_of_different_albedo_keep_their_colours():
     left.density[middle + 1 :], right.density[:middle] = 0.0, 0.0
     left.density[middle] *= 0.5
     right.density[middle] *= 0.5
-    settings = Settings(threads=1, leave_out=ALL - {"shared_pixels"})
+    settings = Settings(threads=1, optimizations=ALL - {"shared_pixels"})
     volumes = [(left, Medium(12.0, 0.9, 0.4)), (right, Medium(12.0, 0.4, 0.4))]
     found = render(volumes, [SUN], camera(), settings).rgb
     albedo = halves(0.9, 0.4)
@@ -166,7 +166,7 @@ def test_overlapping_volumes_of_different_albedo_keep_their_colours():
 @pytest.mark.parametrize("light", ["sun", "lamp", "environment"])
 def test_a_volume_per_colour_channel_is_the_chromatic_medium(light):
     """So an extinction whose colour varies is rendered: overlapping volumes of different channels do not mix."""
-    sigma_t, settings = np.array([16.0, 8.0, 4.0]), Settings(threads=1, leave_out=ALL - {"shared_pixels"})
+    sigma_t, settings = np.array([16.0, 8.0, 4.0]), Settings(threads=1, optimizations=ALL - {"shared_pixels"})
     whole = [(cloud(), Medium(sigma_t, COLOUR, 0.4))]
     parts = [(cloud(), Medium(sigma_t * channel, albedo, 0.4)) for channel, albedo in zip(np.eye(3), COLOUR)]
     expected, found = (render(volumes, [LIGHTS[light]], camera(), settings) for volumes in (whole, parts))

@@ -115,6 +115,7 @@ def test_removal_restores_the_saved_file(addon, scene, cloud, tmp_path):
     assert state_of_file() == before
 
 
+@pytest.mark.slow
 def test_fast_settings_show_the_layer_with_one_sample(addon, scene, cloud, tmp_path):
     # Denoising needs more pixels than the other tests.
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "CYCLES", 128, 128
@@ -129,6 +130,7 @@ def test_fast_settings_show_the_layer_with_one_sample(addon, scene, cloud, tmp_p
     assert relative(blender_scenes.rendered(scene, tmp_path), layer) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["surface", "lamp"])
 def test_surfaces_and_lamps_keep_their_samples(addon, scene, cloud, tmp_path, other):
     mesh = bpy.data.meshes.new("Ground")

@@ -83,7 +83,7 @@ def test_the_engine_renders_what_only_renders_show(addon, scene, cloud, tmp_path
 @pytest.mark.parametrize("crop", [False, True])
 def test_the_render_region_is_cut_as_blender_cuts_it(addon, scene, cloud, tmp_path, crop):
     # Pixels at the region's border have no neighbours outside it to interpolate from.
-    scene.mrpnn.leave_out -= {"shared_pixels"}
+    scene.mrpnn.optimizations -= {"shared_pixels"}
     render(scene, tmp_path / "whole.exr")
     whole = combined(tmp_path / "whole.exr")
     region = scene.render

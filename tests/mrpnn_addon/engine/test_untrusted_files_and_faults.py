@@ -12,7 +12,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import RenderCache, SceneError
-from inference.network import network, weights_file
+from inference.models import weights_file
+from inference.network import network
 from inference.network.baselines import Baseline, BaselinePredictor, SingleScattering
 from tests.support import blender_scenes
 

@@ -60,7 +60,7 @@ def test_a_region_of_the_view_is_cut_out_of_the_whole(addon, scene, cloud, kind)
     )
     make = addon.mrpnn_addon.engine.viewport.viewport_camera
     # Pixels at the region's border have no neighbours outside it to interpolate from.
-    settings = Settings(depth_samples=1, leave_out=ALL - {"shared_pixels"})
+    settings = Settings(depth_samples=1, optimizations=ALL - {"shared_pixels"})
     whole, part = (
         render(description.volumes, description.suns, make(*view, clip_end=100.0, part=part), settings).alpha
         for part in ((0.0, 0.0, 1.0, 1.0), (16 / 64, 6 / 48, 48 / 64, 40 / 48))

@@ -14,7 +14,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from inference import SceneError
-from inference.network import network, weights_file
+from inference.models import weights_file
+from inference.network import network
 from tests.support import blender_scenes
 from tests.support.paths import ROOT
 
