@@ -72,10 +72,6 @@ class VolumeTracer(Predictor):
         self.offset = index / cells - 0.5
         self.edge = cells * voxel / cube.edge
 
-    def at(self, cube):
-        """As of Predictor."""
-        return self
-
     def prepare(self, conditions: Conditions, tasks=SERIAL) -> "PreparedTracer":
         """For one optical thickness and one sun; bounds and surfaces are not used."""
         return PreparedTracer(self, conditions.sigma_hat * self.edge, self.linear @ conditions.light.direction)

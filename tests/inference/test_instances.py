@@ -90,7 +90,7 @@ def test_volumes_of_other_tiles_change_nothing():
     """Each tile is marched through the volumes that matter to it, in their shadows."""
     volumes = [(at((1.2 * n - 3.6, 0.3 * (n % 2), 0.8 * (n % 3)), 0.4 * n, 0.9), MEDIUM) for n in range(7)]
     lights, view = [Sun((0.9, 0.1, 0.3), 2.0), SKY], camera(12.0, resolution=(150, 40), fov=0.8)
-    settings = Settings(threads=1, leave_out=Settings().leave_out - {"missed_pixels"})
+    settings = Settings(threads=1, optimizations=Settings().optimizations - {"missed_pixels"})
     each, together = (render(volumes, lights, view, one) for one in (Settings(threads=1), settings))
     np.testing.assert_allclose(each.rgb, together.rgb, rtol=1e-5, atol=1e-7)
     np.testing.assert_array_equal(each.alpha, together.alpha)
