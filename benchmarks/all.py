@@ -45,6 +45,7 @@ COMMANDS = (
     "benchmarks.cost.lamps --rounds 3 --sizes 64x64 256x256 1920x1080 --only 'a point light' 'a spot light'"
     " 'an area light' 'a point light inside'",
     "benchmarks.cost.sparse",
+    "benchmarks.cost.sky --voxels 64",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
     "benchmarks.cycles.settings",

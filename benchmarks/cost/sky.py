@@ -15,7 +15,7 @@ import subprocess
 import sys
 
 import numpy as np
-from training.data.volumes import make_volume
+from training.procedural.volumes import make_volume
 
 from inference import Camera, Environment, Medium, Settings, Sun, Volume, render
 from inference.render_cache import RenderCache
