@@ -13,16 +13,15 @@ from ..inference.scene import SceneError
 from ..mrpnn_addon.engine.render_job import Finished, RenderJob, render_scene
 from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_in_image
 from ..mrpnn_addon.runtime.background import Worker
-from ..mrpnn_addon.runtime.text import percent, report, status_bar
+from ..mrpnn_addon.runtime.text import report
 from ..mrpnn_addon.scene.reader import read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
+from .modal_job import RunsWorkers
 from .waiting import SceneLoading
 
-TICK_INTERVAL = 0.1
 
-
-class MRPNN_OT_render(bpy.types.Operator):
+class MRPNN_OT_render(RunsWorkers, bpy.types.Operator):
     """Render the volumes that the active camera sees, lit by the scene's lights and World; Esc stops"""
 
     bl_idname = "mrpnn.render"
@@ -35,45 +34,40 @@ class MRPNN_OT_render(bpy.types.Operator):
         description="Multi-layer OpenEXR file to write; without it, the scene's setting applies",
     )
 
-    _job: Worker | None = None
-    _loading = None
-    _timer = None
+    work, doing = "render", "rendering"
+    _loading: SceneLoading | None = None
+    _finished: Finished
     _started = 0.0
 
     def execute(self, context: "bpy.types.Context") -> set[str]:
         """Render while Blender waits."""
         started = time.perf_counter()
         try:
-            finished = render_scene(
+            self._finished = render_scene(
                 read_frame(context.evaluated_depsgraph_get()),
                 scene_settings(context.scene).settings(),
                 self._exr_path(context.scene),
                 started=started,
             )
         except (SceneError, OSError) as error:
-            return self._fail(error)
-        return self._deliver(context, finished)
+            return self.fail(error)
+        return self.finish(context)
 
     def invoke(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
         """Render on a worker thread; Blender stays usable."""
         if bpy.app.background:
             return self.execute(context)
-        if MRPNN_OT_render._job is not None:
-            report(self, "WARNING", "MRPNN is rendering already; Esc stops it")
-            return {"CANCELLED"}
         self._started = time.perf_counter()
-        try:
-            MRPNN_OT_render._job = self._next(context)
-        except SceneError as error:
-            return self._fail(error)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(TICK_INTERVAL, window=context.window)
-        manager.progress_begin(0, 100)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self.begin(context)
 
-    def _next(self, context: "bpy.types.Context") -> Worker:
-        """The next worker: one that reads the scene's volumes, then one that renders. Neither needs bpy."""
+    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
+        return self.go_on(context, event)
+
+    def next_worker(self, context: "bpy.types.Context", done: Any) -> Worker | None:
+        """One that reads the scene's volumes, then one that renders. Neither needs bpy."""
+        if done is not None and self._loading is None:
+            self._finished = done.result
+            return None
         exr_path = self._exr_path(context.scene)
         if self._loading is None or self._loading.outdated(context):
             self._loading = SceneLoading(context)
@@ -83,48 +77,6 @@ class MRPNN_OT_render(bpy.types.Operator):
         found = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
         self._loading = None
         return RenderJob(found, scene_settings(context.scene).settings(), exr_path, self._started)
-
-    def modal(self, context: "bpy.types.Context", event: "bpy.types.Event") -> set[str]:
-        job: Any = MRPNN_OT_render._job
-        if event.type == "ESC":
-            job.stop()
-            return {"RUNNING_MODAL"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        context.window_manager.progress_update(int(100 * job.fraction))
-        status_bar(context, f"MRPNN {percent(job.fraction)}  {job.message}  (Esc stops)")
-        if not job.done:
-            return {"PASS_THROUGH"}
-        if self._loading is not None and job.error is None and not job.stopped:
-            try:
-                MRPNN_OT_render._job = self._next(context)
-                return {"PASS_THROUGH"}
-            except SceneError as error:
-                self._end(context)
-                return self._fail(error)
-        self._end(context)
-        # Esc may come too late for the worker to notice it.
-        if job.stopped:
-            report(self, "INFO", "MRPNN render stopped")
-            return {"CANCELLED"}
-        if isinstance(job.error, (SceneError, OSError)):
-            return self._fail(job.error)
-        if job.error is not None:
-            raise job.error
-        return self._deliver(context, job.result)
-
-    def cancel(self, context: "bpy.types.Context") -> None:
-        """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
-        job = MRPNN_OT_render._job
-        job.stop()
-        job.wait()
-        self._end(context)
-
-    def _end(self, context: "bpy.types.Context") -> None:
-        MRPNN_OT_render._job = None
-        context.window_manager.event_timer_remove(self._timer)
-        context.window_manager.progress_end()
-        status_bar(context, None)
 
     def _exr_path(self, scene: "bpy.types.Scene") -> str | None:
         path = self.filepath or (scene_settings(scene).exr_path if scene_settings(scene).use_exr else "")
@@ -143,12 +95,14 @@ class MRPNN_OT_render(bpy.types.Operator):
             raise SceneError(f"the folder of the EXR file does not exist: {os.path.dirname(path)}")
         return path
 
-    def _fail(self, error: Exception) -> set[str]:
+    def fail(self, error: Exception) -> set[str]:
+        """Report the error, and remember it for the panel."""
         remember(LastRender(error=str(error)))
-        report(self, "ERROR", error)
-        return {"CANCELLED"}
+        return super().fail(error)
 
-    def _deliver(self, context: "bpy.types.Context", finished: Finished) -> set[str]:
+    def finish(self, context: "bpy.types.Context") -> set[str]:
+        """Show the picture."""
+        finished = self._finished
         # From the last to the first view, which is displayed.
         for view, layer in reversed(finished.layers):
             image = show_in_image(layer, IMAGE_NAME + view.suffix)

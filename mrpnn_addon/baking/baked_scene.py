@@ -26,9 +26,12 @@ _ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
 
 
 class MRPNN_PG_lit_volume(bpy.types.PropertyGroup):
-    """The baked light of one volume. name: of the volume."""
+    """The baked light of one volume. name: of the volume. spare: the material of light with other nodes, since Live
+    Light takes turns between coarse and final light, and nodes take long to make.
+    """
 
     shown: PointerProperty(name="Object", type=bpy.types.Object)
+    spare: PointerProperty(name="Spare Material", type=bpy.types.Material)
     key: StringProperty(name="Content")
 
 
@@ -93,6 +96,7 @@ def show_light(scene: "bpy.types.Scene", baked: BakedScene) -> None:
     gone = [item.name for item in state.volumes if item.name not in baked.names]
     for name in gone:
         number = state.volumes.find(name)
+        _remove_spare(state.volumes[number])
         _remove_object(state.volumes[number].shown)
         state.volumes.remove(number)
 
@@ -124,6 +128,7 @@ def remove_light(scene: "bpy.types.Scene") -> None:
     """Undo `show_light`. The files stay: other copies of the .blend may show them."""
     state = light_state(scene)
     for item in state.volumes:
+        _remove_spare(item)
         _remove_object(item.shown)
     if state.collection is not None:
         bpy.data.collections.remove(state.collection)
@@ -188,12 +193,24 @@ def _show(scene: "bpy.types.Scene", one: BakedVolume) -> None:
     data = item.shown.data
     set_file(data, one.path)
     data.is_sequence = False
-    materials = list(data.materials)
-    if not reuse(materials[0] if materials else None, one.scale, one.directional):
-        data.materials.clear()
-        _remove_materials(materials)
-        data.materials.append(light_material(f"{one.name} Light", one.scale, one.directional))
+    _set_material(item, one)
     item.key = one.key
+
+
+def _set_material(item: MRPNN_PG_lit_volume, one: BakedVolume) -> None:
+    """Show light with the material that it has, with the spare one, or with a new one."""
+    materials = item.shown.data.materials
+    before = materials[0] if len(materials) else None
+    if reuse(before, one.scale, one.directional):
+        return
+    if reuse(item.spare, one.scale, one.directional):
+        found = item.spare
+    else:
+        _remove_spare(item)
+        found = light_material(f"{one.name} Light", one.scale, one.directional)
+    item.spare = before
+    materials.clear()
+    materials.append(found)
 
 
 def _light_object(name: str) -> "bpy.types.Object":
@@ -218,6 +235,11 @@ def _near(path: str) -> bool:
     except ValueError:  # Another drive, on Windows.
         return False
     return True
+
+
+def _remove_spare(item: MRPNN_PG_lit_volume) -> None:
+    spare, item.spare = item.spare, None
+    _remove_materials([spare])
 
 
 def _remove_object(shown: "bpy.types.Object") -> None:

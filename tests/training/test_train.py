@@ -377,7 +377,12 @@ def test_training_inputs_equal_those_of_rendering():
         for loaded, expected in ((papers, rows["features"][row]), (default, rows["features"][row, :1, ::SPARSE])):
             predictor = VolumePredictor(loaded, volume, rows["anisotropy"][row])
             reader = predictor.prepare(sigma_t, PlacedSun(Sun(sun), cube)).prediction
-            features = reader.lookup(x, w, np.zeros(1, int))[0].T
+            read = [reader.lookup.lattices, *([reader.transmittance] if loaded is papers else [])]
+            features = np.empty((len(read), 1, len(loaded.points.mips)), np.float32)
+            for span, index in reader.lookup.cells(x, w, np.zeros(1, int)):
+                for lattices, values in zip(read, features):
+                    lattices.read(index, values[span])
+            features = features[:, 0]
             # Half precision in the file; a point at a cell's border may fall on either side.
             assert np.count_nonzero(~np.isclose(features, expected, rtol=2e-3, atol=2e-3)) <= max(
                 0.01 * features.size, 1
