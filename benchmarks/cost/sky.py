@@ -15,10 +15,10 @@ import subprocess
 import sys
 
 import numpy as np
-from training.procedural.volumes import make_volume
 
 from inference import Camera, Environment, Medium, Settings, Sun, Volume, render
 from inference.render_cache import RenderCache
+from training.procedural.volumes import make_volume
 
 from ..support.extension import ROOT
 from ..support.provenance import made_by
