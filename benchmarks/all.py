@@ -52,6 +52,7 @@ COMMANDS = (
     MANY_LAMPS,
     LAMPS,
     "benchmarks.cost.sparse",
+    "benchmarks.cost.sky --voxels 64",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
     "benchmarks.cycles.settings",
