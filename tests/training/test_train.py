@@ -396,7 +396,7 @@ def test_training_inputs_equal_those_of_rendering():
         around = reader.light.read(x, w, reader.lookup.sun, reader.anisotropy)[0]
         np.testing.assert_allclose(around, rows["around"][row], rtol=1e-3, atol=2e-3)
         np.testing.assert_allclose(light, rows["ray"][row], rtol=1e-3, atol=1e-4)
-        gathered = reader.gather(x, frames(w, reader.lookup.sun))[0]
+        gathered = reader.gather()(x, frames(w, reader.lookup.sun))[0]
         np.testing.assert_allclose(gathered, rows["gathered"][row], rtol=3e-3, atol=3e-3)
         cells = len(volume.density)
         step = 0.25 / cells
