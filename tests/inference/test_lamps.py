@@ -21,6 +21,7 @@ from inference import (
     predict_multiple,
     render,
 )
+from inference.features.density_reader import DensityReader
 from inference.grids.grid import Grid
 from inference.grids.lamp_optical_depth import LampOpticalDepth
 from inference.marching.lamp_in_media import place_lamp
@@ -491,8 +492,8 @@ def test_networks_read_nothing_of_lamps_inside(monkeypatch):
     volume, settings = box(voxels=16), Settings(depth_samples=4)
     medium, view = Medium(8.0, 0.9, 0.4), camera()
     expected = render([(volume, medium)], [LAMPS["inside"]()], view, settings).multiple
-    for unneeded in ("_solver", "_density_lattices"):
-        monkeypatch.delattr(RayPredictor, unneeded)
+    for owner, unneeded in ((RayPredictor, "_solver"), (DensityReader, "lattices")):
+        monkeypatch.delattr(owner, unneeded)
     np.testing.assert_array_equal(render([(volume, medium)], [LAMPS["inside"]()], view, settings).multiple, expected)
     assert expected.mean() > 0.0
     with pytest.raises(AttributeError):
