@@ -203,14 +203,15 @@ def test_the_comparison_dialog_draws_without_console_output(artist):
     assert artist.console == before
 
 
-# As File > New > General and Add > Volume > Import OpenVDB leave it, but few pixels and small.
+# As File > New > General and Add > Volume > Import OpenVDB leave it, but few pixels, and a viewport that is soon drawn.
 DEFAULT = """
 bpy.ops.wm.read_homefile(app_template="")
 scene = bpy.context.scene
 with over(area("VIEW_3D")):
     bpy.ops.object.volume_import(filepath=WORK + "/window.vdb", directory=WORK, files=[{"name": "window.vdb"}])
 scene.render.engine = "MRPNN"; scene.render.resolution_percentage = 5
-scene.mrpnn.depth_samples = 1
+scene.mrpnn.depth_samples = 1; scene.render.preview_pixel_size = "4"
+area("VIEW_3D").spaces.active.shading.type = "WIREFRAME"
 area("PROPERTIES").spaces.active.context = "RENDER"
 """
 # What the viewport says of what it shows.
