@@ -15,4 +15,4 @@ def alike(*values: float) -> tuple[float, ...]:
 def alike_vector(vector: np.ndarray) -> tuple[float, ...]:
     """A vector of numbers up to 1, to SAME decimals."""
     # Adding 0 turns -0 into 0.
-    return tuple(np.round(vector, SAME) + 0.0)
+    return tuple((np.round(vector, SAME) + 0.0).tolist())

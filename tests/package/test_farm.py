@@ -189,7 +189,7 @@ def test_an_open_job_description_bakes_chunks_into_files_of_their_own(sequence):
     out = finished(sequence("bake", Frames="1-3", ChunkSize=2, OutputFolder=folder))
     assert out.count("baked frame") == 3
     assert {path.name for path in folder.iterdir()} == {"light", "lit.1-2.blend", "lit.3-3.blend"}
-    assert len(list((folder / "light").iterdir())) == 3
+    assert len(list((folder / "light").glob("*.vdb"))) == 3
 
 
 def test_an_open_job_description_compares_with_cycles_frame_by_frame(sequence):
