@@ -160,7 +160,7 @@ class Breaks(Baseline):
     """A model that fails in the middle of a render, as a bug would."""
 
     def predictor(self, volume, cube, anisotropy, cancel=None):
-        return BreakingPredictor(self.name, anisotropy)
+        return BreakingPredictor(self.name, cube, anisotropy)
 
 
 class BreakingPredictor(BaselinePredictor):
