@@ -291,9 +291,15 @@ FACTS = [
     ),
     (
         "docs/method-details.md",
-        r"\| up to (\d+) \| .{0,80} fixed ones; (\d+) at (\d+)°",
+        r"\| up to (\d+) \| 26 fixed ones",
         "inference.baking.directions",
-        ("NODES", "VIEW_RING[1]", "VIEW_RING[0]"),
+        ("NODES",),
+    ),
+    (
+        "docs/method-details.md",
+        r"samples: (\d+)\s+for a fixed direction, (\d+) for an anchor",
+        "inference.baking.directions",
+        ("SMOOTH_EFFORT.predictions", "EFFORT.predictions"),
     ),
     (
         "docs/method-details.md",
