@@ -8,7 +8,6 @@ import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
-from ..marching.ray_steps import RayBatch
 from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
 from ..points.group_radiance import GroupRadiance, spans
@@ -22,10 +21,10 @@ from ..scene.camera import Camera
 from ..scene.description import Medium, Surface, Volume
 from ..scene.light import Light
 from ..scene.settings import Settings
-from .bundles import Bundle, BundlePoints, KnownLight, Pictures, PointGrid
 from .directional_factor import DETAIL_SHARPNESS, BakedView, NodeGrid
-from .directions import EFFORT, FINE_NODES, DirectionFit, expected_work, make_lobe, stride_of
-from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
+from .directions import FINE_NODES, MAX_POINTS, PREDICTIONS, DirectionFit, expected_work, make_lobe, stride_of
+from .guided_light import GuidedLight, KnownLight, MarchedPoints, PointGrid
+from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, block_means, make_lattice
 from .lit_volume import LitVolume
 from .smooth_light import FEW, continued, importance_of, radiance_in_voxels
 
@@ -157,14 +156,15 @@ class _Bake:
         lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(self.scene.environments)
         jobs = lights * len(plan.channels)
         wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
-        points, steps = sum(wanted), STEPS_PER_POINT * sum(wanted)
+        points = marched = sum(wanted)
         if self.context.settings.directional:
-            for lattice, visibility in zip(self.lattices, self.visibilities):
-                marched, predicted = expected_work(lattice, visibility.most_extinction * lattice.voxel)
-                points, steps = points + predicted, steps + marched
+            for voxels, lattice, visibility in zip(wanted, self.lattices, self.visibilities):
+                thickness = visibility.most_extinction * lattice.voxel
+                more, predicted = expected_work(voxels, max(lattice.density.shape), thickness)
+                points, marched = points + predicted, marched + more
         progress.expect("transport", jobs * len(plan.groups))
         progress.expect("lattices", jobs * len(plan.groups))
-        progress.expect("march", steps * len(plan.channels))
+        progress.expect("march", STEPS_PER_POINT * marched * len(plan.channels))
         progress.expect("network", points * jobs)
 
     def _wanted(self, v: int) -> np.ndarray:
@@ -199,20 +199,21 @@ class _Bake:
     def _mean_radiance(self, v: int, light: GroupRadiance, wanted: np.ndarray) -> np.ndarray:
         """As `_radiance`, of the mean over the directions that show a voxel."""
         lattice, visibility = self.lattices[v], self.visibilities[v]
-        pictures = self._pictures(v, [light], lambda positions: np.ones((1, 3), np.float32))
-        thickness = visibility.most_extinction * lattice.voxel
-        stride = stride_of(max(lattice.density.shape), FINE_NODES, thickness)
-        grid = PointGrid.over(lattice, stride)
-        places = np.argwhere(np.ones(grid.shape, bool))
+        guided = self._guided(v, [light], lambda positions: np.ones((1, 3), np.float32))
+        stride = stride_of(max(lattice.density.shape), FINE_NODES, visibility.most_extinction * lattice.voxel)
+        while np.count_nonzero(filled := block_means(wanted.astype(np.float32), stride)) * len(DIRECTIONS) > MAX_POINTS:
+            stride += 1
+        grid, places = PointGrid.over(lattice, stride), np.argwhere(filled)
         voxels = lattice.voxels(grid.positions(places))
         # A ray along a direction shows a point to a viewer on the other side of it.
         shares = WEIGHTS * np.maximum(visibility.transmittances(voxels, -DIRECTIONS), HARDLY_SEEN)
         shares /= shares.sum(axis=1, keepdims=True)
         mean = np.zeros((len(places), 3), np.float32)
         for direction, share in zip(DIRECTIONS, shares.T.astype(np.float32)):
-            mean += share[:, None] * pictures.light(grid, places, Bundle(direction), EFFORT)
+            light_along = guided(grid, places, BakedView(direction=direction), share, PREDICTIONS)
+            mean += share[:, None] * light_along
         radiance = np.zeros((*wanted.shape, 3), np.float32)
-        nodes = NodeGrid(mean.reshape(*grid.shape, 3), grid.world_from_index)
+        nodes = NodeGrid(grid.spread(places, mean), grid.world_from_index)
         radiance[wanted] = nodes.sample(lattice.positions(np.argwhere(wanted)))
         self.context.report.count("voxels with light", np.count_nonzero(wanted))
         return radiance
@@ -271,30 +272,25 @@ class _Bake:
         albedo = np.stack([np.minimum(grid.scattering_of(c).sample(index) / density, 1.0) for c in range(3)], axis=1)
         return coefficient * albedo.reshape(*shape, 3)
 
-    def _pictures(
+    def _guided(
         self, v: int, lights: list[GroupRadiance], coefficient: Callable[[np.ndarray], np.ndarray]
-    ) -> Pictures:
-        """Pictures of one volume in some lights; coefficient: of its scattering at positions (N, 3)."""
+    ) -> GuidedLight:
+        """Light of one volume from some lights; coefficient: of its scattering at positions (N, 3)."""
 
-        def of(light: GroupRadiance, rays: RayBatch) -> BundlePoints:
+        def march(light: GroupRadiance, positions: np.ndarray, directions: np.ndarray) -> MarchedPoints:
             self.context.cancel.check()
-            found = light.along(rays)
-            share = found.weight * found.fraction[:, light.members.index(v)]
-            some = np.flatnonzero(share > 0.0)
-            positions = found.points.positions[some]
+            points = light.gathered(positions, directions)
 
             def predict(numbers: np.ndarray) -> np.ndarray:
-                parts = [some[numbers[span]] for span in spans(len(numbers))]
-                return coefficient(positions[numbers]) * light.radiance(found.points, parts).T
+                radiance = light.radiance(points, [numbers[span] for span in spans(len(numbers))])
+                return coefficient(positions[numbers]) * radiance.T
 
-            return BundlePoints(positions, share[some], light.guides(found.points)[some], predict)
+            return MarchedPoints(light.guides(points), predict)
 
-        def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-            radiance = np.sum([light(positions, directions) for light in lights], axis=0)
-            return coefficient(positions) * radiance.T
-
+        lattice = self.lattices[v]
+        middle = lattice.positions(0.5 * (np.array(lattice.density.shape) - 1.0)[None])[0]
         every = "smooth_light" not in self._switches or np.count_nonzero(self._wanted(v)) <= FEW
-        return Pictures(self.lattices[v], lambda rays: [of(light, rays) for light in lights], predict, every, [])
+        return GuidedLight(middle, lambda *rays: [march(light, *rays) for light in lights], every, [])
 
     def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, lights: list[GroupRadiance]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
@@ -305,14 +301,13 @@ class _Bake:
         directional = None
         if self.context.settings.directional and lights:
             self.context.progress.message(f"other directions of {volume.name}")
-
             lobe = make_lobe([one.sun for one in self.scene.plan.predicted_suns()], medium.anisotropy)
-            pictures = self._pictures(v, lights, lambda positions: self._coefficient(v, positions))
-            known = self.view.directions(pictures.middle[None])
+            guided = self._guided(v, lights, lambda positions: self._coefficient(v, positions))
+            known = self.view.directions(guided.middle[None])
             if known is not None:
-                pictures.known.append(KnownLight(known[0], PointGrid.over(lattice, 1), _grey(scattered)))
+                guided.known.append(KnownLight(known[0], PointGrid.over(lattice, 1), _grey(scattered)))
             with report.stage("directions"):
-                fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, pictures)
+                fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, guided)
                 directional = fit.factor(DETAIL_SHARPNESS * medium.anisotropy**2)
         scattered = continued(scattered, self._wanted(v))
         return LitVolume(lattice.density, scattered, lattice.world_from_index, directional, volume.name, report)

@@ -8,7 +8,6 @@ import numpy as np
 
 from ..numerics.small_matmul import product, solve_positive
 from ..scene.description import Sun
-from .bundles import Bundle, Effort, Pictures, PointGrid
 from .directional_factor import (
     ANCHORS,
     BakedView,
@@ -18,12 +17,17 @@ from .directional_factor import (
     anchor_terms,
     directional_terms,
 )
+from .guided_light import GuidedLight, PointGrid
 from .lattice import DIRECTIONS, BakeLattice, Visibility, block_means
 
 # Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
 NODES, FINE_NODES = 48, 112
-# Distance of rays, over that of points, and predictions for each direction: of the smooth coefficients, of an anchor.
-SMOOTH_EFFORT, EFFORT = Effort(1.0, 600), Effort(0.7, 3000)
+# Predictions for each direction: of the smooth coefficients, of an anchor.
+SMOOTH_PREDICTIONS, PREDICTIONS = 600, 3000
+# Points times directions of each kind, beyond which points are farther apart.
+MAX_POINTS = 1_000_000
+# Share of the points with light that count where rays go along one direction, for the progress.
+IMPORTANT_SHARE = 0.3
 # Corrections of corrections, where anchors are seen from other directions than in the middle.
 SWEEPS = 2
 # Voxels of each of the latter whose mean is taken: light differs from one to the next.
@@ -89,15 +93,13 @@ def stride_of(longest: int, most: int, thickness: float) -> int:
     return max(-(-longest // most), int(thin), 1)
 
 
-def expected_work(lattice: BakeLattice, thickness: float) -> tuple[float, float]:
-    """Steps of marching and predictions that a fit takes, about; thickness: as for `stride_of`."""
-    longest, steps, predictions = max(lattice.density.shape), 0.0, 0.0
-    side = float(np.prod(lattice.density.shape)) ** (2.0 / 3.0)
-    kinds = (FINE_NODES, EFFORT, len(ANCHORS) - 1), (NODES, SMOOTH_EFFORT, len(DIRECTIONS))
-    for most, effort, count in kinds:
-        rays = side / (effort.spacing * stride_of(longest, most, thickness)) ** 2
-        steps, predictions = steps + count * rays * longest, predictions + count * effort.predictions
-    return steps, predictions
+def expected_work(voxels: float, longest: int, thickness: float) -> tuple[float, float]:
+    """Points that a fit marches from, and predictions, about; voxels: with light. Others: as for `stride_of`."""
+    marched, predictions = 0.0, 0.0
+    for most, each, count in (FINE_NODES, PREDICTIONS, len(ANCHORS) - 1), (NODES, SMOOTH_PREDICTIONS, len(DIRECTIONS)):
+        points = min(IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3, MAX_POINTS / count)
+        marched, predictions = marched + count * points, predictions + count * min(points, each)
+    return marched, predictions
 
 
 @dataclass(frozen=True)
@@ -124,17 +126,18 @@ class _Nodes:
 
     def grid(self, coefficients: np.ndarray) -> NodeGrid:
         """Coefficients (N, K) of the nodes on the whole grid."""
-        return NodeGrid(_spread(self.points, self.places, coefficients), self.points.world_from_index)
+        return NodeGrid(self.points.spread(self.places, coefficients), self.points.world_from_index)
 
 
 @dataclass(frozen=True)
 class _AlongAnchors:
     """Light of N nodes along A rays that are turned from the baked one as the anchors are, about the volume's middle.
 
-    along: (N, A, 3), unit directions. light: (N, A), mean over the colours.
+    stride: of the nodes. along: (N, A, 3), unit directions. light: (N, A), mean over the colours.
     """
 
     nodes: _Nodes
+    stride: int
     along: np.ndarray
     light: np.ndarray
 
@@ -144,8 +147,8 @@ class DirectionFit:
     """What the DirectionalFactor of one volume is fitted to.
 
     scattered: (nx, ny, nz, 3), light that density 1 scatters, as baked, 0 in voxels that need none. steady: the part of
-    it, of the same shape, that is taken to be the same in all directions. lobe, view: of the factor. pictures: of the
-    other part.
+    it, of the same shape, that is taken to be the same in all directions. lobe, view: of the factor. light: the other
+    part.
     """
 
     lattice: BakeLattice
@@ -154,7 +157,7 @@ class DirectionFit:
     visibility: Visibility
     lobe: Lobe
     view: BakedView
-    pictures: Pictures
+    light: GuidedLight
 
     def factor(self, sharpness: float) -> DirectionalFactor | None:
         """The factor, whose detail fades with some sharpness; None where nothing scatters."""
@@ -166,13 +169,14 @@ class DirectionFit:
 
     @property
     def _middle(self) -> np.ndarray:
-        return self.pictures.middle
+        return self.light.middle
 
     def _smooth(self) -> tuple[NodeGrid, NodeGrid | None]:
         """Smooth coefficients, and those of the colours."""
         directions = sampled_directions(self.lobe)
-        nodes, seen = self._important(NODES, directions)
-        found = [self._light(nodes, Bundle(direction=direction), SMOOTH_EFFORT) for direction in directions]
+        nodes, seen, _ = self._important(NODES, directions)
+        views = [BakedView(direction=direction) for direction in directions]
+        found = [self._light(nodes, view, seen[:, k], SMOOTH_PREDICTIONS) for k, view in enumerate(views)]
         samples = np.stack(found, axis=1)
         terms, grey = directional_terms(directions, self.lobe), samples.mean(axis=2)
         spans = [slice(start, start + NODES_PER_BATCH) for start in range(0, len(grey), NODES_PER_BATCH)]
@@ -191,17 +195,17 @@ class DirectionFit:
         if frames is None:
             return None
         [frame] = frames
-        nodes, _ = self._important(FINE_NODES, product(ANCHORS, frame))
-        bundles = [self._turned(frame.T @ _turn(anchor) @ frame) for anchor in ANCHORS[1:]]
-        light = [nodes.baked, *(self._light(nodes, bundle, EFFORT) for bundle in bundles)]
-        positions = nodes.positions
-        along = [Bundle(self.view.direction, self.view.position).directions(positions)]
-        along += [bundle.directions(positions) for bundle in bundles]
-        return _AlongAnchors(nodes, np.stack(along, axis=1), np.stack([one.mean(axis=1) for one in light], axis=1))
+        nodes, seen, stride = self._important(FINE_NODES, product(ANCHORS, frame))
+        views = [self._turned(frame.T @ _turn(anchor) @ frame) for anchor in ANCHORS]
+        light = [nodes.baked]
+        light += [self._light(nodes, view, seen[:, k], PREDICTIONS) for k, view in enumerate(views) if k]
+        found = [view.directions(nodes.positions) for view in views]
+        along = np.stack([one for one in found if one is not None], axis=1)
+        return _AlongAnchors(nodes, stride, along, np.stack([one.mean(axis=1) for one in light], axis=1))
 
     def _anchors(self, smooth: NodeGrid, known: _AlongAnchors | None) -> NodeGrid:
         """Logarithms of the light as baked, and what corrects smooth coefficients along the anchors."""
-        every = self._nodes(FINE_NODES)
+        every = self._nodes(self._stride(FINE_NODES) if known is None else known.stride)
         positions, logarithms = every.positions, _logarithm(every.baked.mean(axis=1))
         frames = self.view.frames(positions)
         if frames is None or known is None:
@@ -227,27 +231,38 @@ class DirectionFit:
         residual = _logarithm(np.maximum(known.light, least)) - np.stack(fitted, axis=1)
         inverse = np.linalg.inv(anchor_terms(ANCHORS))
         corrections = product(residual, inverse)
-        # Off the middle, the bundles' rays are not quite along the anchors.
+        # Off the middle, rays of turned cameras are not quite along the anchors.
         local = [np.einsum("nij,nj->ni", frames, known.along[:, k]) for k in columns]
         for _ in range(SWEEPS if self.view.position is not None else 0):
             told = [np.einsum("nk,nk->n", corrections, anchor_terms(rays)) for rays in local]
             corrections += product(residual - np.stack(told, axis=1), inverse)
         return known.nodes.grid(corrections)
 
-    def _turned(self, rotation: np.ndarray) -> Bundle:
+    def _turned(self, rotation: np.ndarray) -> BakedView:
         """The view, turned by a rotation (3, 3) about the volume's middle."""
         if self.view.position is None:
-            return Bundle(direction=rotation @ self.view.direction)
-        return Bundle(position=self._middle + rotation @ (self.view.position - self._middle))
+            return BakedView(direction=rotation @ self.view.direction)
+        return BakedView(position=self._middle + rotation @ (self.view.position - self._middle))
 
-    def _light(self, nodes: _Nodes, bundle: Bundle, effort: Effort) -> np.ndarray:
-        """Light (N, 3) that density 1 scatters at nodes along a bundle."""
-        return self.pictures.light(nodes.points, nodes.places, bundle, effort) + nodes.steady
+    def _light(self, nodes: _Nodes, view: BakedView, seen: np.ndarray, most: int) -> np.ndarray:
+        """Light (N, 3) that density 1 scatters at nodes along a view's rays, which show them so clearly (N,).
 
-    def _nodes(self, most: int) -> _Nodes:
-        """Nodes with light, at most so many along the longest edge."""
+        most: how many of them are predicted, about.
+        """
+        importance = seen * self._thickness(nodes)
+        return self.light(nodes.points, nodes.places, view, importance, most) + nodes.steady
+
+    def _stride(self, most: int) -> int:
         thickness = self.visibility.most_extinction * self.lattice.voxel
-        stride = stride_of(max(self.scattered.shape[:3]), most, thickness)
+        return stride_of(max(self.scattered.shape[:3]), most, thickness)
+
+    def _thickness(self, nodes: _Nodes) -> np.ndarray:
+        """Optical thickness (N,) of nodes, at most 1."""
+        thickness = self.visibility.extinction(self.lattice.voxels(nodes.positions)) * np.float32(nodes.points.spacing)
+        return np.minimum(thickness, np.float32(1.0))
+
+    def _nodes(self, stride: int) -> _Nodes:
+        """Nodes with light, so many voxels apart."""
         # numpy is slow to reduce an axis of length 3.
         red, green, blue = (self.scattered[..., c] != 0.0 for c in range(3))
         filled = block_means(red | green | blue, stride)
@@ -261,12 +276,14 @@ class DirectionFit:
         )
         return _Nodes(PointGrid.over(self.lattice, stride), places, baked, steady)
 
-    def _important(self, most: int, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
-        """Nodes that count where rays go along some of D directions (D, 3), and how clearly each shows them (N, D).
-
-        most: as for `_nodes`.
-        """
-        return self._seen(self._nodes(most), directions)
+    def _important(self, most: int, directions: np.ndarray) -> tuple[_Nodes, np.ndarray, int]:
+        """As `_seen`, and the stride of the nodes: at most so many along the longest edge, and MAX_POINTS in all."""
+        stride = self._stride(most)
+        while True:
+            nodes, seen = self._seen(self._nodes(stride), directions)
+            if seen.size <= MAX_POINTS:
+                return nodes, seen, stride
+            stride += 1
 
     def _seen(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
         """Nodes that count where rays go along some of D directions (D, 3), and how clearly each shows them (N, D).
@@ -277,8 +294,7 @@ class DirectionFit:
         voxels = self.lattice.voxels(nodes.positions)
         seen = self.visibility.transmittances(voxels, -directions)
         seen[seen < MIN_TRANSMITTANCE] = 0.0
-        thickness = self.visibility.extinction(voxels) * np.float32(nodes.points.spacing)
-        importance = np.minimum(thickness, np.float32(1.0)) * seen.max(axis=1)
+        importance = self._thickness(nodes) * seen.max(axis=1)
         if not importance.any():
             return nodes, np.ones_like(seen)
         some = importance >= MIN_IMPORTANCE * importance.max()
@@ -333,11 +349,3 @@ def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray
     scale = (seen * samples).sum(axis=1) / np.maximum((seen * fitted).sum(axis=1), 1e-30)
     coefficients[:, 0] += np.log(np.maximum(scale * mean[:, 0], 1e-30))
     return coefficients
-
-
-def _spread(points: PointGrid, nodes: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Coefficients (N, K) of nodes int (N, 3) on a whole grid, (nx, ny, nz, K): others take means of those near by."""
-    at = np.ravel_multi_index(tuple(nodes.T), points.shape)
-    values = np.ascontiguousarray(np.moveaxis(points.averaged(at, list(coefficients.T), 1e-6), 0, -1))
-    values[tuple(nodes.T)] = coefficients
-    return values

@@ -2,7 +2,7 @@
 """The light that one group of volumes scatters at any points, towards any direction."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..grids.bound_medium import BoundMedium
 from ..image.context import PreparedScene, RenderContext
 from ..image.lamp_pass import prepare_lamp_march
 from ..image.sources import AskedGroup, Source, solve_transport
-from ..marching.depth_samples import DepthSamples, entry_point, gauss_legendre
+from ..marching.depth_samples import entry_point
 from ..marching.marcher import Marcher
 from ..marching.ray_features import COLUMNS, RayFeatures
 from ..marching.ray_march import LampMarch, MarchOptions, RaySegment
@@ -19,10 +19,6 @@ from ..network.estimators import LitPoints
 from ..network.predictor import POINTS_PER_TASK
 from ..plan.plan import Channels
 from ..transport.scattered_fluence import ScatteredFluence
-
-# Depth samples of an opaque ray that shows a group, and rays that are marched together.
-RAY_SAMPLES = 8
-RAYS_PER_TASK = 1024
 
 
 class GroupRadiance:
@@ -34,7 +30,7 @@ class GroupRadiance:
 
     def __init__(self, context: RenderContext, scene: PreparedScene, g: int, channels: Channels) -> None:
         plan = scene.plan
-        self._context, self._scene, self.members = context, scene, plan.groups[g]
+        self._context, self._scene, self._members = context, scene, plan.groups[g]
         self._channels = channels
         asked = AskedGroup(context=context, scene=scene, number=g, channels=channels, places=(0, 0, 0))
         returned = scene.thrown_back
@@ -52,35 +48,32 @@ class GroupRadiance:
             if scene.environment_network is not None and returned is not None:
                 self._returned = asked.environments([returned])
         own = None if lamps is None else self._of_group(lamps, g)
-        self._lit = None if fluence is None else fluence[g], own
-        self._march = self._prepare_march(*self._lit) if any(part is not None for part in self._lit) else None
+        self._march = None
+        if fluence is not None or own is not None:
+            self._march = self._prepare_march(None if fluence is None else fluence[g], own)
         self._through = self._prepare_march(None, None)
-        self._along = self._prepare_march(*self._lit, RAY_SAMPLES)
 
     def _of_group(self, lamps: LampMarch, g: int) -> LampMarch:
         """Lamps as the group alone knows them."""
         assert lamps.fluence is not None
-        own = [replace(lamp, depths=[[each[v] for v in self.members] for each in lamp.depths]) for lamp in lamps.lamps]
+        own = [replace(lamp, depths=[[each[v] for v in self._members] for each in lamp.depths]) for lamp in lamps.lamps]
         return replace(lamps, lamps=own, fluence=[lamps.fluence[g]])
 
     def _media(self, lit: bool) -> list[BoundMedium]:
         media = self._scene.media(self._channels, lit)
-        return [media[v] for v in self.members]
+        return [media[v] for v in self._members]
 
-    def _prepare_march(
-        self, fluence: ScatteredFluence | None, lamps: LampMarch | None, depth_samples: int = 0
-    ) -> Marcher:
-        """Marches rays through the group alone; depth_samples: on an opaque ray, 0 for one where each ray begins."""
-        context = self._context
-        lit, optimizations = fluence is not None, context.settings.optimizations
+    def _prepare_march(self, fluence: ScatteredFluence | None, lamps: LampMarch | None) -> Marcher:
+        """Marches rays from points outwards through the group alone."""
+        context, lit = self._context, fluence is not None
+        # Every ray needs its features at its start, however faint it is.
         options = MarchOptions(
-            depth_samples=depth_samples or 1,
+            depth_samples=1,
             fluence=[fluence] if lit else None,
             shadow_maps=self._scene.occluders.shadow_maps if lit else None,
-            groups=[list(range(len(self.members)))],
-            # Every ray from a point needs its features there, however faint it is.
-            optimizations=optimizations if depth_samples else optimizations - {"faint_rays"},
-            quadrature=gauss_legendre if depth_samples else entry_point,
+            groups=[list(range(len(self._members)))],
+            optimizations=context.settings.optimizations - {"faint_rays"},
+            quadrature=entry_point,
         )
         indices, stopping = self._channels.indices, context.tasks.stopping
         return Marcher(self._media(lit), options, indices, stopping, lamps)
@@ -91,8 +84,7 @@ class GroupRadiance:
         positions, directions: float64 (N, 3) in the world, points with density and unit directions of camera rays.
         Channels other than those asked for are 0. Raises Cancelled.
         """
-        points = self._gathered(positions, directions, any(source.estimator.needs_depths for source in self._all))
-        return self.radiance(points, spans(len(positions)))
+        return self.radiance(self.gathered(positions, directions), spans(len(positions)))
 
     def radiance(self, points: LitPoints, parts: Sequence[np.ndarray | slice]) -> np.ndarray:
         """As a call, (3, M) at some points, by number in parts of at most POINTS_PER_TASK."""
@@ -112,21 +104,6 @@ class GroupRadiance:
             context.report.count("network points", starts[-1])
         return radiance
 
-    def along(self, rays: RayBatch) -> "SeenPoints":
-        """Points of the group that rays show, with what was gathered there, for `radiance`.
-
-        rays: their ends are cut to the group's. Raises Cancelled.
-        """
-        media = [medium for medium in self._media(False) if medium.matters]
-        ends = [medium.grid.interval(rays.origins, rays.directions) for medium in media]
-        near = np.maximum(np.min([near for near, _ in ends], axis=0), rays.near)
-        far = np.minimum(np.max([far for _, far in ends], axis=0), rays.far)
-        hit = near < far
-        rays, segments = RayBatch(rays.origins[hit], rays.directions[hit], near[hit], far[hit]), []
-        if hit.any():
-            self._follow(self._along, rays, lambda first, segment: segments.append((first, segment)))
-        return SeenPoints.of(rays, segments, any(source.estimator.needs_depths for source in self._all))
-
     def guides(self, points: LitPoints) -> np.ndarray:
         """Of all estimators at points, (N, C); see there."""
         return np.concatenate([source.estimator.guides(points) for source in self._all], axis=1)
@@ -145,8 +122,8 @@ class GroupRadiance:
 
         return self._context.tasks.map(task, parts)
 
-    def _gathered(self, positions: np.ndarray, directions: np.ndarray, depths: bool) -> LitPoints:
-        """Points with what estimators read of their rays."""
+    def gathered(self, positions: np.ndarray, directions: np.ndarray) -> LitPoints:
+        """Points with what estimators read of their rays, for `radiance`; the arguments are as for a call."""
         points, count = LitPoints(positions, directions), len(positions)
         if self._march is not None and count:
             # Where a ray meets no density, nothing lies ahead.
@@ -162,9 +139,9 @@ class GroupRadiance:
                 if segment.lamps is not None and segment.lamps.features is not None:
                     lamps[ray] = segment.lamps.features.values
 
-            self._follow(self._march, rays_outwards(self._media(False), positions, directions), keep)
+            self._follow(self._march, positions, directions, keep)
             points = replace(points, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
-        if depths:
+        if any(source.estimator.needs_depths for source in self._all):
             along = np.zeros((count, 2), np.float32)
             for column, towards in enumerate((directions, -directions)):
 
@@ -172,64 +149,29 @@ class GroupRadiance:
                     depth = segment.optical_depth.sum(axis=1)
                     along[first : first + len(depth), column] = depth
 
-                self._follow(self._through, rays_outwards(self._media(False), positions, towards), measure)
+                self._follow(self._through, positions, towards, measure)
             points = replace(points, depths=along)
         return points
 
-    def _follow(self, march: Marcher, rays: RayBatch, keep: Callable[[int, RaySegment], None]) -> None:
-        """March rays; keep: takes the number of the first ray and what each batch gathered."""
+    def _follow(
+        self,
+        march: Marcher,
+        positions: np.ndarray,
+        directions: np.ndarray,
+        keep: Callable[[int, RaySegment], None],
+    ) -> None:
+        """March rays outwards; keep: takes the number of the first ray and what each batch gathered."""
         context = self._context
+        batch = rays_outwards(self._media(False), positions, directions)
 
         def task(span: slice) -> tuple[int, RaySegment]:
-            return span.start, march(rays.take(span))
+            return span.start, march(batch.take(span))
 
         with context.report.stage("march"), context.progress.stage("march"):
-            for first, segment in context.tasks.map(task, spans(len(rays.near), RAYS_PER_TASK)):
+            for first, segment in context.tasks.map(task, spans(len(positions))):
                 keep(first, segment)
                 context.report.count("steps evaluated", segment.steps_evaluated)
                 context.progress.advance("march", segment.steps_evaluated)
-
-
-@dataclass(frozen=True)
-class SeenPoints:
-    """N points of a group that rays show, each as much of its ray's opacity as its weight (N,) says.
-
-    points: with what was gathered there. fraction: float32 (N, V), of the extinction in each of the volumes.
-    """
-
-    points: LitPoints
-    weight: np.ndarray
-    fraction: np.ndarray
-
-    @staticmethod
-    def of(rays: RayBatch, segments: Sequence[tuple[int, RaySegment]], depths: bool) -> "SeenPoints":
-        """The depth samples of marched segments of rays, by the first ray; depths: whether optical ones are wanted."""
-        if not segments:
-            return SeenPoints(LitPoints(np.zeros((0, 3)), np.zeros((0, 3))), np.zeros(0), np.zeros((0, 1), np.float32))
-        parts = [segment for _, segment in segments]
-        suns = [part.sample_features.values for part in parts if part.sample_features is not None]
-        lamps = [part.lamps.features.values for part in parts if part.lamps and part.lamps.features]
-        samples = DepthSamples(
-            pixel=np.arange(len(rays.near)),
-            origins=rays.origins,
-            directions=rays.directions,
-            offsets=np.zeros(len(rays.near)),
-            ray=np.concatenate([first + part.sample_ray for first, part in segments]).astype(np.int32),
-            distance=np.concatenate([part.sample_distance for part in parts]),
-            weight=np.concatenate([part.sample_weight for part in parts]),
-            fraction=np.concatenate([part.sample_fraction for part in parts]),
-        )
-        points = LitPoints(
-            samples.positions(slice(None)),
-            rays.directions[samples.ray],
-            suns=RayFeatures(np.concatenate(suns)) if suns else None,
-            lamps=RayFeatures(np.concatenate(lamps)) if lamps else None,
-        )
-        if depths and len(points):
-            behind, whole = samples.optical_depths()
-            ahead = np.maximum(whole - behind, 0.0)
-            points = replace(points, depths=np.stack([ahead, behind], axis=1).astype(np.float32))
-        return SeenPoints(points, samples.weight, samples.fraction)
 
 
 def rays_outwards(media: Sequence[BoundMedium], positions: np.ndarray, directions: np.ndarray) -> RayBatch:
@@ -240,6 +182,6 @@ def rays_outwards(media: Sequence[BoundMedium], positions: np.ndarray, direction
     return RayBatch(positions, directions, np.zeros(len(positions)), np.maximum(np.max(ends, axis=0), least))
 
 
-def spans(count: int, most: int = POINTS_PER_TASK) -> list[slice]:
-    """`count` points in parts of at most so many."""
-    return [slice(start, min(start + most, count)) for start in range(0, count, most)]
+def spans(count: int) -> list[slice]:
+    """`count` points in parts, one per network call."""
+    return [slice(start, start + POINTS_PER_TASK) for start in range(0, count, POINTS_PER_TASK)]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Light at the points of a coarse grid towards one direction, from a picture of the volume along that direction.
+"""Light at the points of a coarse grid along one direction, of which the network predicts a few.
 
-A bundle of rays is marched through the volume. It tells what is known of the light at its depth samples before that is
-predicted (`Estimator.guides`). The light is predicted at some samples. There a sum of the guides is fitted to it, and
-the ratio of the light to this sum varies little from point to point. It is interpolated, and the guides tell the rest:
-a ratio estimator, whose control variate is the sum of the guides.
+From every point a ray is marched. It tells what is known of the light before that is predicted (`Estimator.guides`).
+The light is predicted at some of the points, and a sum of the guides is fitted to it. The ratio of the light to this
+sum varies little from point to point. It is interpolated, and the guides tell the rest: a ratio estimator, whose
+control variate is the sum of the guides.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,82 +12,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..marching.ray_steps import RayBatch
 from ..numerics.quadrature import PLASTIC
 from ..numerics.small_matmul import product
 from .directional_factor import BakedView
 from .lattice import BakeLattice
 
-# A viewer nearer to the volume's middle than this share of the width that a bundle covers sees it under a wide angle,
-# and its bundle covers no more.
-NEAREST = 0.25
 # Light that guides do not tell, as a share of the mean.
 AMBIENT = 0.02
 # Steps of the fit of guides.
 FIT_STEPS = 60
 # Directions in which light is known already that guide predictions along the next.
 NEAR = 3
-# Samples of a point's neighbourhood that count as much as those of one that is twice as wide.
-DENSE, SPARSE = 0.1, 0.2
+# Predictions in a point's neighbourhood that count as much as those of one that is twice as wide.
+SPARSE = 0.2
 
 
 @dataclass(frozen=True)
-class Bundle:
-    """Rays that show a volume: parallel ones along a unit direction (3,), or from a position (3,)."""
+class MarchedPoints:
+    """N points of rays. guides: (N, C), as of Estimator. predict: light (M, 3) at some of them, by number.
 
-    direction: np.ndarray | None = None
-    position: np.ndarray | None = None
-
-    def directions(self, positions: np.ndarray) -> np.ndarray:
-        """Unit directions (N, 3) in which it shows world positions (N, 3)."""
-        found = BakedView(self.position, self.direction).directions(positions)
-        assert found is not None
-        return found
-
-    def rays(self, lattice: BakeLattice, spacing: float) -> RayBatch:
-        """Rays through the lattice's box, so far apart on a plane through its middle."""
-        shape = np.array(lattice.density.shape)
-        corners = lattice.positions(np.array(list(np.ndindex(2, 2, 2))) * (shape - 1))
-        middle = corners.mean(axis=0)
-        reach = float(np.linalg.norm(corners - middle, axis=1).max())
-        axis = self.direction
-        if axis is None:
-            axis = middle - self.position
-            axis = axis / max(np.linalg.norm(axis), 1e-30) if np.any(axis) else np.array([0.0, 0.0, -1.0])
-        across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-        across /= np.linalg.norm(across)
-        plane = np.stack([across, np.cross(axis, across)])
-        seen = corners - middle
-        if self.position is not None:
-            # The corners, as they are seen on the plane.
-            away = max(float((middle - self.position) @ axis), NEAREST * reach)
-            start = middle - away * axis
-            depth = np.maximum((corners - start) @ axis, NEAREST * away)
-            seen = (corners - start) * (away / depth)[:, None]
-        seen = seen @ plane.T
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        counts = np.maximum(np.ceil((high - low) / spacing), 1).astype(int)
-        steps = [low[a] + (high[a] - low[a]) * (np.arange(counts[a]) + 0.5) / counts[a] for a in range(2)]
-        places = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2) @ plane + middle
-        far = np.full(len(places), np.inf)
-        if self.position is None:
-            return RayBatch(places - 2.0 * reach * axis, np.tile(axis, (len(places), 1)), np.zeros(len(places)), far)
-        directions = places - self.position
-        length = np.linalg.norm(directions, axis=1, keepdims=True)
-        directions = np.where(length > 0.0, directions / np.maximum(length, 1e-30), axis)
-        return RayBatch(np.tile(self.position, (len(places), 1)), directions, np.zeros(len(places)), far)
-
-
-@dataclass(frozen=True)
-class BundlePoints:
-    """N points of a volume that a bundle shows.
-
-    positions: (N, 3) in the world. weight: (N,), in the picture. guides: (N, C), as of Estimator. predict: light (M, 3)
-    at some of them, by number. It may raise Cancelled.
+    `predict` may raise Cancelled.
     """
 
-    positions: np.ndarray
-    weight: np.ndarray
     guides: np.ndarray
     predict: Callable[[np.ndarray], np.ndarray]
 
@@ -132,6 +78,13 @@ class PointGrid:
         size = int(np.prod(self.shape))
         sums = [np.bincount(places, one, size) for one in (*values, np.ones(len(places)))]
         return _blended(np.stack(sums).astype(np.float32).reshape(-1, *self.shape), np.float32(most))
+
+    def spread(self, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values (N, K) of points int (N, 3) on the whole grid, (nx, ny, nz, K): others take means of those near by."""
+        at = np.ravel_multi_index(tuple(places.T), self.shape)
+        found = np.ascontiguousarray(np.moveaxis(self.averaged(at, list(values.T), 1e-6), 0, -1))
+        found[tuple(places.T)] = values
+        return found
 
 
 def _blended(sums: np.ndarray, most: np.float32) -> np.ndarray:
@@ -178,66 +131,71 @@ class KnownLight:
 
 
 @dataclass(frozen=True)
-class Effort:
-    """What a picture takes: distance of its rays, over that of the grid's points, and the number of predictions."""
+class GuidedLight:
+    """Light of one volume at points of grids.
 
-    spacing: float
-    predictions: int
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Pictures of one volume.
-
-    seen: points that rays show. predict: light (N, 3) at world positions (N, 3) along unit directions (N, 3). Both may
-    raise Cancelled. every: whether light is predicted at every point, without pictures. known: along other directions.
+    middle: (3,) in the world, of the volume. march: from world positions (N, 3) along unit directions (N, 3); the light
+    is that of all it returns. It may raise Cancelled. every: whether light is predicted at every point. known: along
+    other directions.
     """
 
-    lattice: BakeLattice
-    seen: Callable[[RayBatch], list[BundlePoints]]
-    predict: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    middle: np.ndarray
+    march: Callable[[np.ndarray, np.ndarray], list[MarchedPoints]]
     every: bool
     known: list[KnownLight]
 
-    @property
-    def middle(self) -> np.ndarray:
-        """(3,) in the world, of the lattice's box."""
-        return self.lattice.positions(0.5 * (np.array(self.lattice.density.shape) - 1.0)[None])[0]
+    def __call__(
+        self, grid: PointGrid, places: np.ndarray, view: BakedView, importance: np.ndarray, most: int
+    ) -> np.ndarray:
+        """Light (N, 3) at points int (N, 3) of a grid along the rays of a view, which guides further predictions.
 
-    def light(self, grid: PointGrid, places: np.ndarray, bundle: Bundle, effort: Effort) -> np.ndarray:
-        """Light (N, 3) at points int (N, 3) of a grid along a bundle, which guides further pictures."""
-        if self.every:
-            positions = grid.positions(places)
-            return self.predict(positions, bundle.directions(positions))
-        [along] = bundle.directions(self.middle[None])
-        near = sorted(self.known, key=lambda known: -float(known.direction @ along))[:NEAR]
-        light = np.zeros((3, *grid.shape), np.float32)
-        for seen in self.seen(bundle.rays(self.lattice, effort.spacing * grid.spacing)):
-            light += light_at_points(grid, seen, near, effort.predictions)
-        self.known.append(KnownLight(along, grid, light.mean(axis=0)))
-        return light[(slice(None), *places.T)].T
+        importance: (N,), at least 0; those without any take the light of others. most: how many are predicted, about.
+        """
+        some = np.flatnonzero(importance > 0.0)
+        if not len(some):
+            return np.zeros((len(places), 3), np.float32)
+        positions = grid.positions(places[some])
+        directions, along = view.directions(positions), view.directions(self.middle[None])
+        assert directions is not None and along is not None
+        near = sorted(self.known, key=lambda known: -float(known.direction @ along[0]))[:NEAR]
+        light = np.zeros((len(some), 3), np.float32)
+        for marched in self.march(positions, directions):
+            if self.every:
+                light += marched.predict(np.arange(len(some)))
+            else:
+                light += light_at_points(grid, positions, marched, importance[some], near, most)
+        values = grid.spread(places[some], light)
+        self.known.append(KnownLight(along[0], grid, values.mean(axis=3)))
+        return values[tuple(places.T)]
 
 
-def light_at_points(grid: PointGrid, seen: BundlePoints, known: Sequence[KnownLight], most: int) -> np.ndarray:
-    """Light float32 (3, nx, ny, nz) at the points of a grid, predicted at about so many points of a bundle.
+def light_at_points(
+    grid: PointGrid,
+    positions: np.ndarray,
+    marched: MarchedPoints,
+    importance: np.ndarray,
+    known: Sequence[KnownLight],
+    most: int,
+) -> np.ndarray:
+    """Light float32 (N, 3) at positions (N, 3) of points of a grid, predicted at about so many of them.
 
-    known: along other directions.
+    importance: (N,). known: along other directions.
     """
-    if not len(seen.positions):
-        return np.zeros((3, *grid.shape), np.float32)
-    guides = np.column_stack([seen.guides, *(one.at(seen.positions) for one in known), np.ones(len(seen.weight))])
+    guides = np.column_stack([marched.guides, *(one.at(positions) for one in known), np.ones(len(positions))])
     guides /= np.maximum(guides.mean(axis=0), 1e-30)
-    chosen = _chosen(seen.positions, seen.weight * np.maximum(guides.mean(axis=1), AMBIENT), most)
-    light = seen.predict(chosen)
+    chosen = _chosen(positions, importance * np.maximum(guides.mean(axis=1), AMBIENT), most)
+    light = marched.predict(chosen)
     grey = light.mean(axis=1)
     told = product(guides, _fitted(guides[chosen], grey)) + AMBIENT * max(float(grey.mean()), 1e-30)
-    places = grid.places(seen.positions)
-    [dense] = grid.averaged(places, [told], DENSE)
+    places = grid.places(positions)
     # Greys are averaged once.
     colours = [light[:, 0]] if np.ptp(light, axis=1).max() == 0.0 else list(light.T)
     *averages, base = grid.averaged(places[chosen], [*colours, told[chosen]], SPARSE)
-    found = [average * (dense / np.maximum(base, np.float32(1e-30))) for average in averages]
-    return np.stack(found if len(found) == 3 else found * 3)
+    ratios = [(average / np.maximum(base, np.float32(1e-30))).reshape(-1)[places] for average in averages]
+    found = np.stack([ratio * told for ratio in ratios] * (3 // len(ratios)), axis=1).astype(np.float32)
+    # What is predicted is known.
+    found[chosen] = light
+    return found
 
 
 def _chosen(positions: np.ndarray, importance: np.ndarray, most: float) -> np.ndarray:
