@@ -297,9 +297,9 @@ FACTS = [
     ),
     (
         "docs/method-details.md",
-        r"samples: (\d+)\s+for a fixed direction, (\d+) for an anchor",
+        r"shows: (\d+) for a fixed direction, (\d+) for an anchor",
         "inference.baking.directions",
-        ("SMOOTH_EFFORT.predictions", "EFFORT.predictions"),
+        ("SMOOTH_PREDICTIONS", "PREDICTIONS"),
     ),
     (
         "docs/method-details.md",
