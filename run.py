@@ -10,6 +10,7 @@ All install what they need, pinned, into .venv beside this file, and compile the
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -29,7 +30,8 @@ COMMANDS = {
 
 def install(requirements: str) -> None:
     """Create .venv if need be and install `requirements` unless that very list is in already."""
-    text = "".join((ROOT / name).read_text() for name in sorted({"requirements.txt", requirements}))
+    included = re.findall(r"^-r (.+)$", (ROOT / requirements).read_text(), re.MULTILINE)
+    text = "".join((ROOT / name).read_text() for name in sorted({requirements, *included}))
     stamp = VENV / f"installed-{requirements}"
     wanted = hashlib.sha256(text.encode()).hexdigest()
     if stamp.exists() and stamp.read_text() == wanted:

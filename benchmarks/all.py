@@ -5,10 +5,10 @@
 
 What is done for the present code and weights, by this version of Python, is skipped, so that a run that was stopped
 continues; a command that fails is told and the rest go on. What commands print is kept in build/all. Run it once more
-with Blender 5.2's module for that version's rows. A table that a command prints goes between the
-marks <!-- the command --> and <!-- end --> of a page of docs, where there are such. EEVEE needs a graphics driver, and
-its viewport a display: --eevee "--window --blender COMMAND" names a Blender that has them. --list says which tables in
-docs are of other weights or older code, and runs nothing.
+with Blender 5.2's module for that version's rows. A table that a command prints goes to its file in docs/tables, or
+between the marks <!-- the command --> and <!-- end --> of a page. EEVEE needs a graphics driver, and its viewport a
+display: --eevee "--window --blender COMMAND" names a Blender that has them. --list says which tables in docs are of
+other weights or older code, and runs nothing.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .support.extension import ROOT
-from .support.pages import replace, with_table
+from .support.pages import replace, with_table, write_tables
 from .support.provenance import made_by
 
 #: What decides a figure; pages are not among it.
@@ -31,20 +31,28 @@ CODE = ("inference", "mrpnn_addon", "operators", "training", "benchmarks")
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
 EEVEE = "benchmarks.cycles.baked_eevee"
+MANY_LAMPS = (
+    "benchmarks.cost.lamps --rounds 5 --sizes 64x64 --only 'four suns' 'four point lights' 'twelve spots of a stage'"
+    " 'thirty lamps of a street' 'thirty-six panels of a ceiling'"
+)
+LAMPS = (
+    "benchmarks.cost.lamps --rounds 3 --sizes 64x64 256x256 1920x1080 --only 'a point light' 'a spot light'"
+    " 'an area light' 'a point light inside'"
+)
+BAKED_ANGLES = "benchmarks.fidelity.baked_directions smoke-100-front-g0.857 cumulus-100-back-g0.857 --turn 20 30 60"
 #: In the order in which they run: what is short, and then what takes hours.
 COMMANDS = (
-    "benchmarks.demo --figures docs/readme.csv",
-    "benchmarks.cost.imported_smoke --figures docs/readme.csv",
+    "benchmarks.demo --figures docs/tables/readme.csv",
+    "benchmarks.cost.imported_smoke --figures docs/tables/readme.csv",
     "benchmarks.cost.frame --table",
     "benchmarks.cost.speed",
     "benchmarks.cost.scaling",
     "benchmarks.cost.built_in",
     "benchmarks.cost.environments --rounds 3",
-    "benchmarks.cost.lamps --rounds 5 --sizes 64x64 --only 'four suns' 'four point lights' 'twelve spots of a stage'"
-    " 'thirty lamps of a street' 'thirty-six panels of a ceiling'",
-    "benchmarks.cost.lamps --rounds 3 --sizes 64x64 256x256 1920x1080 --only 'a point light' 'a spot light'"
-    " 'an area light' 'a point light inside'",
+    MANY_LAMPS,
+    LAMPS,
     "benchmarks.cost.sparse",
+    "benchmarks.cost.sky --voxels 64",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
     "benchmarks.cycles.settings",
@@ -53,7 +61,7 @@ COMMANDS = (
     "benchmarks.fidelity.lamps --seeds 6 --photons 3000000",
     "benchmarks.fidelity.environments --predicted --seeds 1003000 1600200",
     "benchmarks.fidelity.baked_directions",
-    "benchmarks.fidelity.baked_directions smoke-100-front-g0.857 cumulus-100-back-g0.857 --turn 20 30 60",
+    BAKED_ANGLES,
     "benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light sky parallel lamp",
     "benchmarks.cycles.baked_picture --samples 2 --most 64",
     "benchmarks.cycles.baked_film --size 32 --frames 12",
@@ -87,6 +95,27 @@ COMMANDS_5 = (
     "benchmarks.error_vs_time.real_sizes",
     "benchmarks.error_vs_time",
 )
+#: What prints a table: the name of its CSV file in docs/tables.
+TABLES = {
+    "benchmarks.cost.frame --table": "speed-frame",
+    "benchmarks.cost.speed": "speed-stages",
+    "benchmarks.cost.environments --rounds 3": "speed-environments",
+    MANY_LAMPS: "speed-many-lamps",
+    LAMPS: "speed-lamps",
+    "benchmarks.cost.viewport": "speed-viewport",
+    "benchmarks.cycles.baked_speed": "baked-speed",
+    "benchmarks.cycles.baked_speed --size 512": "baked-speed-512",
+    "benchmarks.fidelity.lamps --seeds 6 --photons 3000000": "accuracy-lamps",
+    "benchmarks.fidelity.environments --predicted --seeds 1003000 1600200": "accuracy-worlds",
+    "benchmarks.fidelity.baked_directions": "baked-directions",
+    BAKED_ANGLES: "baked-angles",
+    "benchmarks.fidelity.baked_directions cumulus-100-side-g0.857 --light sky parallel lamp": "baked-lights",
+    "benchmarks.cycles.baked_film --size 32 --frames 12": "baked-flicker",
+    "benchmarks.cycles.baked_surroundings --size 40 --samples 512": "baked-surroundings",
+    "benchmarks.cycles.baked_light": "baked-views",
+    EEVEE: "baked-eevee",
+    "benchmarks.cycles.baked_ways": "baked-ways",
+}
 PROGRAM, COMMIT = r"python\S*\s+-m\s+((?:benchmarks|training)[\w.]*\w)|run\.py (demo)", "[0-9a-f]{7,12}"
 
 
@@ -101,7 +130,7 @@ class Stamp(NamedTuple):
 
 def stamps() -> Iterator[Stamp]:
     """Of the tables in README and docs, but for the history of what was."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*.csv"))]
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "docs").rglob("*.csv"))]
     for page in pages:
         program, texts = "", re.split(r"\n\s*\n|\n- |\n# ", "" if page.name == "history.md" else page.read_text())
         for text, after in zip(texts, [*texts[1:], ""]):
@@ -163,15 +192,21 @@ def run(commands: Sequence[str], folder: Path, of_machine: Mapping[str, str] | N
 
 
 def enter(command: str, printed: str, docs: Path) -> None:
-    """Put a table that a command has printed, with the sentence on what made it, between its marks in the docs."""
+    """Write a table that a command has printed, with the sentence on what made it.
+
+    It goes into its file of TABLES, and between its marks on a page of docs, where there are such.
+    """
     lines = printed.splitlines()
     table = "\n".join(line for line in lines if line.startswith("|"))
     program, *arguments = shlex.split(command)
     told = [line for line in lines if line.startswith("Weights ") and f"python -m {program}" in line]
-    for page in docs.glob("*.md"):
+    source = told[-1] if told else made_by(program, arguments)
+    if table and command in TABLES:
+        write_tables(TABLES[command], table, [source], docs / "tables")
+    for page in docs.rglob("*.md"):
         text = page.read_text()
         if table and f"<!-- {command} -->" in text:
-            replace(page, with_table(text, command, table, told[-1] if told else made_by(program, arguments)))
+            replace(page, with_table(text, command, table, source))
 
 
 def _git(*arguments: str) -> str:

@@ -98,13 +98,13 @@ def _options(addon: ModuleType) -> str:
 
 #: Of each page its lists by name.
 LISTS: dict[str, dict[str, Callable[[ModuleType], str]]] = {
-    "docs/nodes.md": {"evaluated nodes": _nodes},
-    "docs/settings.md": {
+    "docs/use/nodes.md": {"evaluated nodes": _nodes},
+    "docs/use/settings.md": {
         "buttons": _buttons,
         "settings": _settings,
-        "preferences": _preferences,
     },
-    "docs/command-line.md": {"options": _options},
+    "docs/use/preferences.md": {"preferences": _preferences},
+    "docs/use/command-line.md": {"options": _options},
 }
 
 

@@ -169,7 +169,8 @@ def _tiles(
 
     def shade(window: Window) -> Tile:
         tile = Tile.of(camera, window, shown)
-        samples = march_tile(context, scene, channel_pass, tile)
+        groups = scene.groups_in(window)
+        samples = march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
         if samples is not None:
             add_scattered_light(context, sources, tile, samples)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
@@ -203,7 +204,16 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     )
     lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
     march = Marcher(media, options, channels.indices, context.tasks.stopping, lamps)
-    return ChannelPass(channels, media, march, options.scattering, near, detail)
+    return ChannelPass(
+        channels=channels,
+        media=media,
+        march=march,
+        scattering=options.scattering,
+        near=near,
+        most_detail=detail,
+        groups=range(len(scene.groups)),
+        volumes=range(len(media)),
+    )
 
 
 def prepare_scene(

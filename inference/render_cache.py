@@ -2,13 +2,15 @@
 """Content-keyed cache shared between renders."""
 
 import threading
+import weakref
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from .grids.bound_medium import BoundMedium
-from .grids.grid import Grid
+from .grids.grid import Grid, Voxels
 from .grids.merge import merge
+from .grids.working_cube import fit_cube
 from .marching.lamp_in_media import LampInMedia, lamp_key, place_lamp
 from .marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
 from .network.environment_network import EnvironmentNetwork, load_environment_network
@@ -52,6 +54,7 @@ class RenderCache:
         self._mean_depths: dict[tuple[bytes, float], tuple[Grid, MeanLampDepth]] = {}
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
         self._predictors: dict[int, VolumePredictor] = {}
+        self._instances: weakref.WeakValueDictionary[Hashable, VolumePredictor] = weakref.WeakValueDictionary()
         self._emission: dict[int, tuple[Members, ScatteredEmission]] = {}
 
     def network(self, name: str, provider: str, cancel: CancelToken = NEVER) -> System:
@@ -76,10 +79,17 @@ class RenderCache:
         """Grid of each volume."""
         with cancel.locked(self._lock):
             found = []
+            voxels = {grid.voxels.source.voxels_key: grid.voxels for _, grid in self._grids}
+            places: dict[bytes, list[tuple[Volume, Grid]]] = {}
+            for other, grid in self._grids:
+                places.setdefault(other.world_from_index.tobytes(), []).append((other, grid))
             for volume in volumes:
                 cancel.check()
-                known = next((grid for other, grid in self._grids if _same_volume(other, volume)), None)
-                found.append((volume, known or Grid(volume)))
+                here = places.get(volume.world_from_index.tobytes(), ())
+                known = next((grid for other, grid in here if _same_volume(other, volume)), None)
+                grid = known or Grid(volume, voxels.get(volume.voxels_key) or Voxels(volume))
+                voxels[volume.voxels_key] = grid.voxels
+                found.append((volume, grid))
             self._grids = found
             return [grid for _, grid in found]
 
@@ -133,7 +143,11 @@ class RenderCache:
             known: VolumePredictor | None = self._predictors.get(number)
             if known is None or not _serves(known, network, volume, medium):
                 self._predictors.pop(number, None)
-                known = self._predictors[number] = VolumePredictor(network, volume, medium.anisotropy, cancel)
+                bounds = grids[0].voxels.filled if len(grids) == 1 else None
+                cube = fit_cube(volume, bounds)
+                key = id(network), medium.anisotropy, volume.voxels_key, cube.in_voxels(volume)
+                known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, self._instances.get(key))
+                self._predictors[number] = self._instances[key] = known
             return ScatteringGroup(volume, medium, known)
 
     def scattered_emission(

@@ -116,8 +116,8 @@ def _parser() -> argparse.ArgumentParser:
             "--strict",
             action=argparse.BooleanOptionalAction,
             default=False,
-            help="exit status 1 where an object cannot be rendered, or no volume or light is left, and a message that "
-            "says so, instead of a picture; the command stops there",
+            help="exit status 1 and a message, instead of a picture, where an object cannot be rendered, or no volume "
+            "or light is left; the command stops there",
         )
     for action in (compare, report):
         action.add_argument("--frame", type=_whole, metavar="N", help="the file's current frame without it")

@@ -5,7 +5,8 @@
 
 With a version, enters it wherever it is stated, and gives it and today's date to the changelog's section of unreleased
 changes. Then builds the zips into build/ and the wheels and source distribution of mrpnn-kernels into wheels/, and
-writes build/SHA256SUMS. The same sources give the same bytes. Publishing them is left to a person: see CONTRIBUTING.md.
+writes build/SHA256SUMS. The same sources give the same bytes. Publishing them is left to a person: see
+docs/contribute/publishing.md.
 """
 
 import argparse
@@ -24,8 +25,8 @@ from .metadata import ROOT, version
 STATED = {
     "blender_manifest.toml": (r'^version = "{}"$', rf"{MODULE}-{{}}-py3"),
     "CITATION.cff": (r"^version: {}$",),
-    "docs/install.md": (r"mrpnn-{}-linux",),
-    "docs/farm.md": (r"mrpnn-{}-linux",),
+    "docs/use/install.md": (r"mrpnn-{}-linux",),
+    "docs/use/farm.md": (r"mrpnn-{}-linux",),
 }
 UNRELEASED = re.compile(r"^## Unreleased.*$", re.MULTILINE)
 SUMS = ROOT / "build" / "SHA256SUMS"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a newcomer meets: a .vdb file as Blender imports it, in one sun, with every default.
 
-    python -m benchmarks.cost.imported_smoke [--percentage 100] [--figures docs/readme.csv]
+    python -m benchmarks.cost.imported_smoke [--percentage 100] [--figures docs/tables/readme.csv]
 
 `openvdb_smoke.vdb` is 107 m high then, with a density of 1: its optical thickness is above 1000. Prints the seconds of
 an F12 of 1920 × 1080 pixels in background, and how much of the picture the smoke covers.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the cost of a render grows, and what error its depth samples leave: makes docs/performance.md's tables.
+"""How the cost of a render grows, and what error its depth samples leave: makes tables speed-*.csv in docs/tables.
 
     python -m benchmarks.cost.scaling [--size 256] [--tables threads suns]
 
@@ -20,13 +20,11 @@ from inference import Camera, Medium, Settings, Sun, Surface, render
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 
 from ..fidelity.views import MASK_ALPHA, independent_views
-from ..support.extension import ROOT
-from ..support.pages import replace, with_table
+from ..support.pages import write_tables
 from ..support.provenance import made_by
 from .speed import camera_covering, cloud
 
 PROGRAM = "benchmarks.cost.scaling"
-PAGE = ROOT / "docs" / "performance.md"
 STAGES = ("shadows", "fields", "march", "network")
 SUN = Sun((0.8, 0.45, -0.36))
 COVERAGE = 0.4
@@ -158,7 +156,7 @@ def main(options=None):
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--size", type=int, default=256)
-    parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these, by the names in the page's marks")
+    parser.add_argument("--tables", nargs="+", metavar="NAME", help="only these, by their names in the program")
     arguments = parser.parse_args(options)
     # Loading the network is not what grows.
     render([(cloud(32), Medium(10.0))], [SUN], Camera(np.eye(4), resolution=(8, 8)))
@@ -168,10 +166,8 @@ def main(options=None):
     )
     if not set(arguments.tables or ()) <= set(makers):
         parser.error(f"there are these tables: {', '.join(makers)}")
-    page = PAGE.read_text()
     for name in arguments.tables or makers:
-        page = with_table(page, name, makers[name](), made_by(PROGRAM, options))
-    replace(PAGE, page)
+        write_tables(f"speed-{name.replace(' ', '-')}", makers[name](), [made_by(PROGRAM, options)])
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a large, mostly empty volume file costs to read and render: makes a table of docs/performance.md.
+"""What a large, mostly empty volume file costs to read and render: makes docs/tables/speed-sparse.csv.
 
     python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
 
@@ -20,11 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from ..support.extension import ROOT, load_extension
-from ..support.pages import replace, with_table
+from ..support.pages import write_tables
 from ..support.provenance import made_by
 
 PROGRAM = "benchmarks.cost.sparse"
-PAGE = ROOT / "docs" / "performance.md"
 # Of the generator's volumes; each of its cells is split into SPLIT per edge.
 SEED, SPLIT = 1_000_000, 4
 # Voxels per edge of the parts in which the cloud is made.
@@ -195,7 +194,7 @@ def main():
     found = table(figures, arguments.size)
     print(found)
     if not arguments.no_page:
-        replace(PAGE, with_table(PAGE.read_text(), "sparse", found, made_by(PROGRAM)))
+        write_tables("speed-sparse", found, [made_by(PROGRAM)])
 
 
 if __name__ == "__main__":

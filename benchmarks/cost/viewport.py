@@ -85,7 +85,10 @@ def measure(addon, size, voxels: int, depth_samples: int, folder: str) -> None:
     whole = since(start)
 
     print(f"{size[0]} x {size[1]} pixels, {voxels}^3 voxels, {depth_samples} depth samples, {os.cpu_count()} cores")
-    print("| change | read | first picture, clock | processor | share | last picture, clock | processor |")
+    print(
+        "| change | read | first picture, clock | first picture, processor | share "
+        "| last picture, clock | last picture, processor |"
+    )
     print("|---|---|---|---|---|---|---|")
     waited = {"opened": opened, "sun turned": again, "density changed": shaded}
     for name, first, last in rows:

@@ -3,7 +3,7 @@
 
     python -m benchmarks.cycles.baked_light [VIEW ...]
 
-Writes docs/baked-light.csv, a row per view as soon as it is measured; views that it holds of the present commit
+Writes docs/tables/baked-light.csv, a row per view as soon as it is measured; views that it holds of the present commit
 and weights are not measured again. Needs bpy.
 """
 
@@ -22,7 +22,7 @@ from ..fidelity.views import MASK_ALPHA, View, independent_views, look_at
 from ..support.pages import csv_text, read_csv, replace
 from ..support.provenance import commit, made_by, weights_checksum
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "baked-light.csv"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "baked-light.csv"
 PROGRAM = "benchmarks.cycles.baked_light"
 SOURCE = f"`python -m {PROGRAM}`, weights and commit in each row."
 SAMPLES = 64

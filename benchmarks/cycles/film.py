@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A film of a volume sequence with sky and ground, and how far its frames are from Cycles: makes docs/film.md.
+"""A film of a volume sequence with sky and ground, and how far its frames are from Cycles: makes docs/use/film.md.
 
     python -m benchmarks.cycles.film [--files FOLDER] [--out build/film] [--frames 11] [--compare 3]
 
@@ -33,7 +33,7 @@ from ..support.shaders import add_shader, add_sky
 
 PROGRAM = "benchmarks.cycles.film"
 PLUME = EXTRA_VOLUMES / "plume"
-PAGE = ROOT / "docs" / "film.md"
+PAGE = ROOT / "docs" / "use" / "film.md"
 STRIP, STRIP_HEIGHT = ROOT / "docs" / "images" / "film.png", 160
 FRAMES_PER_SECOND = 12
 # Half an edge of the ground, its corners and its colour; Cycles' samples for what is no volume.
@@ -204,17 +204,17 @@ def page(found, options) -> str:
         f"over Cycles* {bpy.app.version_string}, with {GROUND_SAMPLES} samples, denoised. Any scene renders as a film",
         "with `blender -b scene.blend -E MRPNN -a`.",
         "",
-        "![Frames of the plume over ground](images/film.png)",
+        "![Frames of the plume over ground](../images/film.png)",
         "",
-        f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. The layer of a",
-        f"frame, with reading the scene and writing the file, takes {seconds:.1f} processor seconds (median), and the",
-        f"whole frame {whole:.1f}, with the layer.",
+        f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. Medians of a",
+        f"frame: the layer takes {seconds:.1f} processor seconds, with reading the scene and writing the file. The",
+        f"whole frame takes {whole:.1f}, with the layer.",
     ]
     if compared:
         lines += [
             "",
-            f"Some layers beside Cycles at {options.scale} % of the size, without the ground, in two renders of",
-            f"{options.samples} samples per pixel each, so that Cycles' own noise does not count:",
+            f"Some layers beside Cycles, at {options.scale} % of the size, without the ground. Cycles renders twice,",
+            f"with {options.samples} samples per pixel each, so that its own noise does not count:",
             "",
             "| file | relative RMSE | bias | alpha bias |",
             "|---|---|---|---|",
@@ -225,10 +225,10 @@ def page(found, options) -> str:
     ]
     lines += [
         "",
-        f"How much more a pixel changes from frame to frame than in a layer of {CONVERGED} depth samples without any",
-        f"approximation, root mean square over the mean, at {options.flicker_scale} % of the size: "
-        f"**{found['flicker']['beyond a converged layer']:.2%}**, where",
-        f"the film itself changes by {found['flicker']['the film itself']:.1%}.",
+        f"From frame to frame, a pixel changes by {found['flicker']['beyond a converged layer']:.2%} more than in a",
+        f"layer of {CONVERGED} depth samples without any approximation. This is the root mean square over the mean, at "
+        f"{options.flicker_scale} % of the size.",
+        f"The film itself changes by {found['flicker']['the film itself']:.1%}.",
     ]
     lines += [
         "",

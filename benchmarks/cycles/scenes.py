@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes as artists build them, against Cycles: makes docs/scenes.md.
+"""Scenes as artists build them, against Cycles: makes docs/tables/scenes*.csv and pictures.
 
     python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS ...] [--size 64] [--samples 64] [--table]
 
@@ -23,13 +23,22 @@ from inference.evaluation.error import error_text
 from ..demo import scene as demo_scene
 from ..support import pictures
 from ..support.extension import ROOT, extension
-from ..support.pages import replace
+from ..support.pages import IMAGES, TABLES, csv_text, replace
 from ..support.provenance import made_by
 from . import scene_features
 
 PROGRAM = "benchmarks.cycles.scenes"
-PAGE = ROOT / "docs" / "scenes.md"
-IMAGES = ROOT / "docs" / "images" / "scenes"
+PICTURES = IMAGES / "scenes"
+COLUMNS = (
+    "scene",
+    "alpha bias",
+    "single RMSE",
+    "single bias",
+    "whole RMSE",
+    "whole bias",
+    "processor seconds, Cycles / ours",
+    "Cycles, ours",
+)
 DEPTH_SAMPLES = 16
 # Samples of single scattering, at most.
 MOST_SINGLE = 256
@@ -64,11 +73,7 @@ def main(arguments=None) -> int:
             results[name]["made_by"] = source
             replace(file, json.dumps(results, indent=1) + "\n")
             print(f"{name}: {time.perf_counter() - start:.0f} s {results[name]}", file=sys.stderr, flush=True)
-    if options.only:
-        chosen = {name: found for name, found in results.items() if any(words in name for words in options.only)}
-        replace(PAGE, with_rows(PAGE.read_text(), chosen))
-    else:
-        replace(PAGE, page(results))
+    write_figures(results)
     return 0
 
 
@@ -132,7 +137,7 @@ def measured(name, stage, options) -> dict:
     found["alpha bias"] = relative_bias(layer.alpha, a[..., 3], b[..., 3], mask).value
     cycles = (a + b) / 2.0
     ours = np.concatenate([layer.rgb, layer.alpha[..., None]], axis=2)
-    IMAGES.mkdir(parents=True, exist_ok=True)
+    PICTURES.mkdir(parents=True, exist_ok=True)
     pictures.row(
         [
             (caption, pictures.view_transformed(pictures.over_sky(image), stage.scene))
@@ -163,7 +168,7 @@ def named(stage) -> dict:
 
 
 def picture(name: str) -> Path:
-    return IMAGES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")
+    return PICTURES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")
 
 
 def sources(results) -> list:
@@ -171,88 +176,44 @@ def sources(results) -> list:
     return list(dict.fromkeys(found["made_by"] for found in results.values() if "made_by" in found))
 
 
-def page(results) -> str:
-    """The page's text."""
-    lines = [
-        "# Scenes against Cycles",
-        "",
-        *sources(results),
-        "",
-        f"Each scene is rendered by the extension and, twice and independently, by Cycles {bpy.app.version_string}",
-        "with 1024 bounces, no clamping and no denoising; errors do not count Cycles' noise",
-        "(`inference/evaluation/error.py`), over the pixels whose alpha is above 0.02 or that emit light. *Alpha* and",
-        "*single*, emission included, contain nothing learned: they tell whether the scene was understood. *Whole*",
-        "adds the network's multiple scattering, whose own error is that of the first row. RMSE is relative to the",
-        "mean, with its 95 % interval, or below its upper end where Cycles' noise hides it. *Single* is left",
-        "out where light is emitted and scattered: Cycles' image without bounces contains a part of that. Seconds are",
-        "processor seconds of all threads; Cycles' are those of the two renders of *whole*, with",
-        f"{FORWARD_SAMPLES} times as many samples at {FORWARD}, and {NEAR_SAMPLES} times as many where a lamp or a "
-        "glowing surface is",
-        "near the smoke or in it.",
-        "",
-        "| scene | alpha bias | single RMSE | single bias | whole RMSE | whole bias | processor seconds, Cycles / ours "
-        "| Cycles, ours |",
-        "|---|---|---|---|---|---|---|---|",
+def write_figures(results: dict) -> None:
+    """Tables of what is measured, of what the extension says of it, and of what is named instead of rendered.
+
+    Each row has the sentence on what made it.
+    """
+    measured = [
+        [*row(name, results[name]), results[name]["made_by"]] for name in scene_features.MEASURED if name in results
     ]
-    for name in scene_features.MEASURED:
-        lines.append(row(name, results.get(name)))
+    replace(TABLES / "scenes.csv", csv_text([], [*COLUMNS, "made by"], measured))
     said = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
-    notes = {text: [name for name, other in said if other == text] for _, text in said}
-    if notes:
-        lines += ["", "What the extension says of these:", ""]
-        lines += [f"- {text} (*{'*, *'.join(names)}*)" for text, names in notes.items()]
-    lines += [
-        "",
-        "## Named instead of rendered",
-        "",
-        "A warning renders the rest of the scene; a refusal renders nothing.",
-        "",
-        "| scene | | message |",
-        "|---|---|---|",
-    ]
-    for name in scene_features.NAMED:
-        found = results.get(name)
-        if found:
-            message = found.get("refused") or "; ".join(found["warnings"]) or "nothing"
-            message = message.replace(str(ROOT) + os.sep, "")
-            lines.append(f"| {name} | {'refused' if 'refused' in found else 'warning'} | {message} |")
-    return "\n".join(lines) + "\n"
+    notes = {text: "; ".join(name for name, other in said if other == text) for _, text in said}
+    replace(TABLES / "scenes-notes.csv", csv_text(sources(results), ["message", "scenes"], notes.items()))
+    named = []
+    for name, found in ((name, results[name]) for name in scene_features.NAMED if name in results):
+        message = found.get("refused") or "; ".join(found["warnings"]) or "nothing"
+        named.append([name, "refused" if "refused" in found else "warning", message.replace(str(ROOT) + os.sep, "")])
+    replace(TABLES / "scenes-named.csv", csv_text(sources(results), ["scene", "row", "message"], named))
 
 
-def row(name: str, found: dict | None) -> str:
-    """A measured scene's row of the table."""
-    if found is None:
-        return f"| {name} | not measured yet | | | | | | |"
+def row(name: str, found: dict) -> list[str]:
+    """A measured scene's cells of COLUMNS."""
     if "refused" in found:
-        return f"| {name} | refused: {found['refused']} | | | | | | |"
-    return (
-        f"| {name} | {found['alpha bias']:+.1%} | {_single(found)} "
-        f"| {error_text(*found['whole rmse'])} | {found['whole bias'][0]:+.1%} "
-        f"| {found['whole seconds']:.1f} / {found['seconds']:.1f} "
-        f"| ![](images/scenes/{picture(name).name}) |"
-    )
+        return [name, f"refused: {found['refused']}", *[""] * (len(COLUMNS) - 2)]
+    return [
+        name,
+        f"{found['alpha bias']:+.1%}",
+        *_single(found),
+        error_text(*found["whole rmse"]),
+        f"{found['whole bias'][0]:+.1%}",
+        f"{found['whole seconds']:.1f} / {found['seconds']:.1f}",
+        f"scenes/{picture(name).name}",
+    ]
 
 
-def with_rows(text: str, results: dict) -> str:
-    """A page with the rows of some scenes in the place of older ones, and a sentence on what made them."""
-    lines, head = text.splitlines(), "| scene | alpha bias "
-    rows = {f"| {name} |": row(name, found) for name, found in results.items() if name in scene_features.MEASURED}
-    before = {key: number for number, line in enumerate(lines) for key in rows if line.startswith(key)}
-    for key, number in before.items():
-        lines[number] = rows[key]
-    names = {source: [] for source in sources(results)}
-    for name, found in results.items():
-        if f"| {name} |" in before:
-            names[found["made_by"]].append(f"*{name}*")
-    said = [f"Newer are the rows {', '.join(some)}. {source}" for source, some in names.items() if some]
-    table = next(number for number, line in enumerate(lines) if line.startswith(head))
-    return "\n".join(lines[:table] + [part for sentence in said for part in (sentence, "")] + lines[table:]) + "\n"
-
-
-def _single(found) -> str:
+def _single(found) -> list[str]:
     if "single rmse" not in found:
-        return "– | –"
-    return f"{error_text(found['single rmse'][0])} | {found['single bias'][0]:+.1%}"
+        return ["–", "–"]
+    return [error_text(found["single rmse"][0]), f"{found['single bias'][0]:+.1%}"]
 
 
 def parse(arguments):

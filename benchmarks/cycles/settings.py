@@ -4,7 +4,7 @@
     python -m benchmarks.cycles.settings [VIEW ...]
 
 Every row is measured against the view's independent reference. Rows of this version of Cycles replace those that
-docs/cycles-settings.csv holds, and docs/cycles-settings.md is made from all of them: run it with bpy 4.5 and with 5.2.
+docs/tables/cycles-settings.csv holds: run it with bpy 4.5 and with 5.2.
 Cycles 5 has two ways through volumes, ray marching and null scattering; the second is the default.
 """
 
@@ -18,16 +18,15 @@ from pathlib import Path
 import numpy as np
 
 from inference import RenderCache, Settings, render
-from inference.evaluation.error import error_text, relative_bias, relative_rmse
+from inference.evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views
-from ..support.pages import csv_made_by, csv_text, read_csv
+from ..support.pages import TABLES, csv_made_by, csv_text, read_csv
 from ..support.pages import replace as replace_file
 from ..support.provenance import made_by
 from .baked_light import stage
 
 PROGRAM = "benchmarks.cycles.settings"
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 VIEWS = ("cumulus-100-side-g0.857", "cumulus-100-back-g0")
 ALL_BOUNCES = 1024
 COLUMNS = ("view", "version", "settings", "samples", "error", "low", "high", "bias", "seconds")
@@ -136,30 +135,6 @@ def measure(view: View) -> list[dict]:
     return rows
 
 
-def page(rows: list[dict], sources: list[str]) -> str:
-    """docs/cycles-settings.md."""
-    parts = ["# Cycles as artists set it", "\n".join(f"- {source}" for source in sources), INTRODUCTION]
-    for view, version in dict.fromkeys((row["view"], row["version"]) for row in rows):
-        lines = ["| settings | samples | error | bias | processor seconds |", "|---|---|---|---|---|"]
-        for row in rows:
-            if (row["view"], row["version"]) == (view, version):
-                error, low, high, bias, seconds = (float(row[k]) for k in ("error", "low", "high", "bias", "seconds"))
-                lines.append(
-                    f"| {row['settings']} | {row['samples']} | {error_text(error, low, high)} "
-                    f"| {100 * bias:+.1f} % | {seconds:.1f} |"
-                )
-        parts += [f"## {view}, Blender {version}", "\n".join(lines)]
-    return "\n\n".join(parts) + "\n"
-
-
-INTRODUCTION = """\
-Each picture is measured against an independent path tracer's reference. Errors are relative RMSE over the pixels of
-alpha above 0.02, by split references, with 95 % intervals; *bias* is the error of the mean: few bounces and clamping
-make clouds dark, however many samples there are. Seconds are processor seconds at 96 × 96 pixels, where denoising has
-little to work with; the layer's first frame holds fields, shadows and loading of the network, which further frames do
-not pay again. *Null scattering* is what Cycles 5 does unless *Biased* is chosen."""
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog=f"python -m {PROGRAM}", description=__doc__.split("\n\n")[0])
     parser.add_argument("views", nargs="*", default=VIEWS)
@@ -169,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
     extension()
     import bpy
 
-    file, version = DOCS / "cycles-settings.csv", bpy.app.version_string
+    file, version = TABLES / "cycles-settings.csv", bpy.app.version_string
     for view in independent_views():
         if view.name not in options.views:
             continue
@@ -182,7 +157,6 @@ def main(arguments: list[str] | None = None) -> int:
             {source for source in sources if not source.startswith(start)} | {start + made_by(PROGRAM, arguments)}
         )
         replace_file(file, csv_text(sources, COLUMNS, [[row[column] for column in COLUMNS] for row in rows]))
-        replace_file(DOCS / "cycles-settings.md", page(rows, sources))
     return 0
 
 

@@ -119,7 +119,7 @@ def parse(arguments):
     parser.add_argument("--scale", type=int, default=25, help="size of the comparison in percent (25)")
     parser.add_argument("--samples", type=int, default=48, help="samples per pixel in each of two Cycles renders (48)")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "demo", help="folder to write to (build/demo)")
-    parser.add_argument("--figures", type=Path, help="file to enter the figures into, such as docs/readme.csv")
+    parser.add_argument("--figures", type=Path, help="file to enter the figures into, such as docs/tables/readme.csv")
     options = parser.parse_args(arguments)
     options.out = options.out.resolve()
     return options

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Error against run time of MRPNN and Cycles over a set of scenes: makes docs/error-vs-time.md, its CSV and its plots.
+"""Error against run time of MRPNN and Cycles over a set of scenes: makes CSV files and plots in docs.
 
     python -m benchmarks.error_vs_time [--out build/error_vs_time] [--size 64] [--samples 256] [--only WORDS] [--table]
 
@@ -12,7 +12,6 @@ figures of the present weights. The page has every version of Cycles that was me
 
 import argparse
 import json
-import re
 import sys
 import time
 from dataclasses import asdict, replace
@@ -21,14 +20,13 @@ from pathlib import Path
 import bpy
 
 from ..support.extension import ROOT, extension
-from ..support.pages import csv_text
+from ..support.pages import IMAGES, TABLES, csv_text, write_tables
 from ..support.pages import replace as replace_file
 from ..support.provenance import commit, made_by
 from . import page, plots
 from .cases import absent_files, cases, make
 
 PROGRAM = "benchmarks.error_vs_time"
-DOCS = ROOT / "docs"
 # Samples per pixel of Cycles' highest rung, and of each half of references that only tell how costs grow: fewer in
 # images beyond a size, which have more pixels to average over.
 LADDER, GROWTH_SAMPLES, GROWTH_SIZE, LEAST_SAMPLES = 64, 16, 64, 2
@@ -76,13 +74,12 @@ def main(arguments=None) -> int:
     if not known:
         print("nothing is measured yet", file=sys.stderr)
         return 1
-    replace_file(DOCS / "error-vs-time.csv", csv_text(page.sources(known), *page.csv_table(known)))
-    plots.save_ladders(known, DOCS / "images" / "error-vs-time.png")
-    plots.save_headline(known, DOCS / "images" / "error-vs-time-headline.png")
-    plots.save_growth(known, DOCS / "images" / "error-vs-time-growth.png")
-    written = DOCS / "error-vs-time.md"
-    kept = re.search("## Real sizes\n(.*?)\n## ", written.read_text(), re.DOTALL)
-    replace_file(written, page.page(known, len(scenes), kept[1].strip() + "\n" if kept else ""))
+    replace_file(TABLES / "error-vs-time.csv", csv_text(page.sources(known), *page.csv_table(known)))
+    plots.save_ladders(known, IMAGES / "error-vs-time.png")
+    plots.save_headline(known, IMAGES / "error-vs-time-headline.png")
+    plots.save_growth(known, IMAGES / "error-vs-time-growth.png")
+    for name, text in page.tables(known).items():
+        write_tables(name, text, page.sources(known))
     return 0
 
 

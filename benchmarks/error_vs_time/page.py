@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The page docs/error-vs-time.md from the figures of `benchmarks.error_vs_time`."""
+"""Tables of error against run time from the figures of `benchmarks.error_vs_time`."""
 
 import math
 
@@ -121,44 +121,20 @@ def csv_table(results):
     ]
 
 
-def page(results, wanted: int, real_sizes: str = "") -> str:
-    """results: of the cases measured so far, of `wanted`. real_sizes: the section that `real_sizes` writes."""
+def tables(results) -> dict[str, str]:
+    """Markdown tables by the names of their files: ratios, scenes, denoised images and how costs grow."""
     main = of_the_set(results)
-    model = results[0]["judged"]["method"]
-    size = results[0]["case"]["size"]
-    measured = len({tuple(result["case"].values()) for result in results})
-    versions = " and ".join(dict.fromkeys(cycles(result) for result in results))
-    parts = [
-        "# Error against run time\n",
-        *(f"{sentence}\n" for sentence in sources(results)),
-        f"{measured} of {wanted} scenes measured. Figures by image: [error-vs-time.csv](error-vs-time.csv).\n",
-        f"Each scene is rendered at {size} × {size} pixels by the extension ({model}, "
-        f"{results[0]['judged']['samples']} depth samples) and by {versions} in a process of its "
-        f"own: {results[0]['bounces']} bounces, no clamping. Errors are relative RMSE by split references of the "
-        "same version of Cycles, over the pixels of alpha above 0.02. Seconds are processor seconds of all threads, "
-        "which other work on the machine changes little; the CSV has wall clock too. *First* includes fields, shadows "
-        "and loading the network, which further frames of the same volume and sun do not pay for again; *frame* does "
-        "not: at few pixels *first* is nearly all of it. Errors need references that take hours at the size of a real "
-        "image; seconds do not, and are "
-        f"measured at {ENLARGED * size} × {ENLARGED * size} too.\n",
-    ]
-    if real_sizes:
-        parts += ["## Real sizes\n", real_sizes, "## Many scenes, in small images\n"]
-    if main:
-        parts += [
-            "![Seconds to the same error](images/error-vs-time-headline.png)\n",
-            headline(counted(main), results),
-            "![Error against time, a scene a panel](images/error-vs-time.png)\n",
-            "## Every scene\n",
-            scenes(main, model),
-        ]
-    parts += [
-        filtered(results),
-        "## How costs grow\n",
-        "![Processor seconds by what grows](images/error-vs-time-growth.png)\n",
-        growth(results),
-    ]
-    return "\n".join(parts)
+    made = {"time-headline": headline(counted(main), results), "time-scenes": scenes(main, model(results))}
+    return {
+        **(made if main else {}),
+        "time-denoised": filtered(results),
+        "time-growth": growth(results),
+    }
+
+
+def model(results) -> str:
+    """The network that was judged."""
+    return results[0]["judged"]["method"]
 
 
 def headline(main, results) -> str:
@@ -248,7 +224,7 @@ def filtered(results) -> str:
         "to the layer's error: times first / frame",
     ]
     return (
-        "## Denoised, at two sizes\n\nThe more pixels a feature has, the less of it a filter removes: of two "
+        "The more pixels a feature has, the less of it a filter removes: of two "
         "scenes with little noise, errors were measured in larger images too.\n\n" + table(head, rows)
     )
 
@@ -262,7 +238,7 @@ def at_size(result, size: int, results):
     return next((one for one in results if scene(one) == scene(result, size=size)), None)
 
 
-def scenes(main, model: str) -> str:
+def scenes(main, network: str) -> str:
     """A row for each scene and way of Cycles through volumes; the quicker ones of a scene first."""
     rows = []
     by_scene = dict.fromkeys(label(result) for result in main)
@@ -300,7 +276,7 @@ def scenes(main, model: str) -> str:
     head = [
         "scene",
         "against",
-        f"{model}: error",
+        f"{network}: error",
         "bias",
         "seconds, first / frame",
         "to this error: times first / frame",

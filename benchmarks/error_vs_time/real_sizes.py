@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Error against run time at the sizes of real images: a section of docs/error-vs-time.md and docs/real-sizes.csv.
+"""Error against run time at the sizes of real images: makes docs/tables/real-sizes*.csv.
 
     python -m benchmarks.error_vs_time.real_sizes [--only WORDS] [--most SAMPLES] [--references] [--table]
 
@@ -26,14 +26,11 @@ from mrpnn_addon.comparison.perceptual import flip
 
 from ..fidelity.tables import table
 from ..fidelity.views import MASK_ALPHA
-from ..support.extension import ROOT
-from ..support.pages import csv_text, with_table
-from ..support.pages import replace as replace_file
+from ..support.pages import TABLES, csv_text, replace, write_tables
 from ..support.provenance import made_by
 from .real_scenes import SCENES, SKY_COLOUR, SKY_HEIGHTS, SKY_RADIANCE, RealScene, halves, trace, traced
 
 PROGRAM = "benchmarks.error_vs_time.real_sizes"
-DOCS = ROOT / "docs"
 LADDER, NOISY, ALL_BOUNCES = (1, 4, 16, 64), 4, 1024
 SMALL_ROWS = 512
 SMALL = [scene for scene in SCENES if scene.rows == SMALL_ROWS]
@@ -292,7 +289,7 @@ def main(arguments: list[str] | None = None) -> int:
         extension()
         for scene in wanted:
             render_images(scene, options.most, made_by(PROGRAM, arguments))
-    write_page()
+    write_figures()
     return 0
 
 
@@ -310,17 +307,16 @@ def folded(sources: set[str]) -> list[str]:
     return sentences
 
 
-def write_page() -> None:
-    """The section between its marks, and the CSV, of the scenes that are measured."""
+def write_figures() -> None:
+    """The CSV files of the scenes that are measured: images, ratios, and images as they are shown."""
     known = [scene for scene in SCENES if traced(scene) and any(images(scene))]
     measured = [Measured(scene, halves(scene), images(scene), scene.rows <= FLIP_ROWS) for scene in known]
     files = [file_of(scene, image.method, image.samples) for scene in known for image in images(scene)]
     sources = folded(set(map(source_of, files)))
-    replace_file(DOCS / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
-    page = DOCS / "error-vs-time.md"
+    replace(TABLES / "real-sizes.csv", csv_text(sources, COLUMNS, csv_rows(measured)))
     paths = "; ".join(f"{scene.name}: {traced(scene)}" for scene in known)
-    text = f"{section(measured)}\n\nPaths per pixel in each half of the references: {paths}."
-    replace_file(page, with_table(page.read_text(), "real sizes", text, "\n".join(f"- {one}" for one in sources)))
+    said = [f"Paths per pixel in each half of the references: {paths}.", *sources]
+    write_tables("real-sizes", section(measured), said)
 
 
 if __name__ == "__main__":

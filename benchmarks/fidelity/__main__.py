@@ -8,7 +8,7 @@ Views: the independent references in benchmarks/data, whose path tracer shares n
 retraced; held-back procedural volumes; and real volumes, which bpy reads. The references of the last three come from
 the project's own path tracer and are traced once (build/references). Every reference is two independent halves, so that
 its noise does not count as error. Writes fidelity.csv (a row for each view and system), fidelity.md (the tables) and a
-picture for each view: reference, systems, signed errors. --docs writes the tables into docs/fidelity.md and, of
+picture for each view: reference, systems, signed errors. --docs writes the tables into docs/tables and, of
 independent views, figures and two pictures beside it.
 """
 
@@ -22,8 +22,7 @@ from inference import available_models
 from inference.network.network import register_system
 from training.reference import PATHS, PathTracer
 
-from ..support.data import ROOT
-from ..support.pages import replace, with_table
+from ..support.pages import IMAGES, TABLES, write_tables
 from ..support.provenance import made_by
 from . import tables
 from .measurements import applies, measure, published_network, write_csv
@@ -38,16 +37,14 @@ SYSTEMS = ("mrpnn", "mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", "rpnn")
 
 
 def write_docs(out: pathlib.Path, measured, source: str) -> None:
-    """Put the tables into docs/fidelity.md, and of independent views figures and pictures beside it."""
-    docs = ROOT / "docs"
-    page, found = (docs / "fidelity.md").read_text(), tables.sections(measured, published_network())
+    """Write the tables into docs/tables, and of independent views figures and pictures too."""
+    found = tables.sections(measured, published_network())
     for views, text in found.items():
-        page = with_table(page, f"{views} views", text, source)
-    replace(docs / "fidelity.md", page)
+        write_tables(f"accuracy-{views}", text, [source])
     if "independent" in found:
-        shutil.copyfile(out / "fidelity.csv", docs / "fidelity.csv")
+        shutil.copyfile(out / "fidelity.csv", TABLES / "fidelity.csv")
         for view, name in PICTURES.items():
-            shutil.copyfile(out / f"{view}.png", docs / "images" / name)
+            shutil.copyfile(out / f"{view}.png", IMAGES / name)
 
 
 def main(options=None):
@@ -65,7 +62,7 @@ def main(options=None):
     parser.add_argument("--samples", type=int, default=1024, help="paths per pixel in each half of traced references")
     parser.add_argument("--cells", type=int, default=128, help="cells per edge of procedural volumes")
     parser.add_argument("--paths", type=int, default=PATHS, help="paths per depth sample of the system `reference`")
-    parser.add_argument("--docs", action="store_true", help="write the tables into docs")
+    parser.add_argument("--docs", action="store_true", help="write the tables into docs/tables")
     parser.add_argument("--references", type=pathlib.Path, default=pathlib.Path("build/references"))
     arguments = parser.parse_args(options)
     register_system("reference", functools.partial(PathTracer, arguments.paths))

@@ -29,7 +29,7 @@ from inference.image import predicted_error
 from inference.image.predicted_error import SHOWN_ALPHA
 
 from ..support.data import ROOT
-from ..support.pages import csv_text, replace, with_table
+from ..support.pages import csv_text, replace, write_tables
 from ..support.provenance import made_by, weights_checksum
 from .drawn_views import (
     CALIBRATION_SEEDS,
@@ -357,14 +357,13 @@ def main(options=None):
     docs = ROOT / "docs" if arguments.docs else None
     rows = [asdict(one) for measured, _ in found.values() for one in measured]
     figures = csv_text([source], list(rows[0]), [row.values() for row in rows])
-    replace((docs or arguments.out) / "calibration.csv", figures)
+    replace((docs / "tables" if docs else arguments.out) / "calibration.csv", figures)
     plot((docs / "images" if docs else arguments.out) / "reliability.png", found["calibration"][1], found["test"][1])
     independent = independent_table()
     print(independent)
     if docs:
-        page = docs / "fidelity.md"
-        written = with_table(page.read_text(), "calibration", text, source)
-        replace(page, with_table(written, "calibration of independent views", independent, source))
+        write_tables("stated-error", text, [source])
+        write_tables("stated-error-independent", independent, [source])
     else:
         (arguments.out / "calibration.md").write_text(f"{text}\n\n{independent}\n\n{source}\n")
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How training converged: error on held-back volumes against the rows seen.
 
-    python -m benchmarks.fidelity.convergence runs/* --csv docs/convergence.csv --png docs/images/convergence.png
+    python -m benchmarks.fidelity.convergence runs/* --csv docs/tables/convergence.csv --png docs/images/convergence.png
 
 Reads what training.train wrote to each run. The error is the root mean square relative to the prediction at points,
 without the targets' noise. Rows of other networks stay in the CSV.

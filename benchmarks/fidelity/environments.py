@@ -130,7 +130,8 @@ def measure(seed: int, arguments):
 def print_table(rows) -> None:
     """Print mean errors and seconds of all rows, and by each of their columns that varies."""
     systems = [prefix for prefix in SYSTEMS if f"{prefix}error" in rows[0]]
-    head = "".join(f" {SYSTEMS[prefix]}RMSE | bias | largest | seconds |" for prefix in systems)
+    named = ("RMSE", "bias", "largest", "seconds")
+    head = "".join(f" {SYSTEMS[prefix]}{name} |" for prefix in systems for name in named)
     print(f"| pictures |{head}\n|{'---|' * (1 + 4 * len(systems))}")
     rows = [{"all": len(rows), **row} for row in rows]
     for key in ("all", "environment", "g", "sigma", "albedo", "view", "seed"):

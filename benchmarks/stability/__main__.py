@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Extreme scenes and every stage, each against an independent result and within a bound.
 
-    python -m benchmarks.stability                 all of them; writes docs/stability.csv, its table and picture
+    python -m benchmarks.stability                 all of them; writes docs/tables/stability.csv and a picture
     python -m benchmarks.stability --quick         a part, writes nothing
     python -m benchmarks.stability --only sun      groups by name; the figures of the others stay
 
@@ -17,7 +17,7 @@ from ..support.pages import csv_made_by
 from ..support.provenance import made_by
 from . import densities, files, laws, lights, placements, refusals, stages
 from .case import Outcome, violations
-from .table import read_csv, write_csv, write_pictures, write_table
+from .table import read_csv, write_csv, write_pictures
 
 PROGRAM = "benchmarks.stability"
 DOCS = ROOT / "docs"
@@ -57,12 +57,11 @@ def main(options=None) -> int:
         )
     broken = [sentence for case, outcome in found for sentence in violations(case, outcome)]
     if not arguments.quick:
-        before, measured = read_csv(DOCS / "stability.csv"), {id(case): outcome for case, outcome in found}
+        before, measured = read_csv(DOCS / "tables" / "stability.csv"), {id(case): outcome for case, outcome in found}
         every = [(case, measured.get(id(case)) or Outcome(before.get((case.group, case.name), {}))) for case in CASES]
-        earlier = csv_made_by(DOCS / "stability.csv") if arguments.only else []
+        earlier = csv_made_by(DOCS / "tables" / "stability.csv") if arguments.only else []
         sources = [*earlier, made_by(PROGRAM, options)]
-        write_csv(DOCS / "stability.csv", every, sources)
-        write_table(DOCS / "stability.md", every, sources)
+        write_csv(DOCS / "tables" / "stability.csv", every, sources)
     if not arguments.quick and not arguments.only:
         write_pictures(DOCS / "images" / "stability.png", found)
     print(f"{len(chosen)} cases, {len(broken)} violations")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Many renders in one Blender process: does memory grow?
 
-    python -m benchmarks.stability.soak [--renders 200] [--figures docs/soak.csv]
+    python -m benchmarks.stability.soak [--renders 200] [--figures docs/tables/soak.csv]
 
 Renders a small cloud with the operator, with changing sun, density, size and number of depth samples, and every tenth
 time a frame with the engine. Prints the process's resident memory after each tenth and writes the figures. The exit
@@ -65,7 +65,7 @@ def main(options=None) -> int:
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--renders", type=int, default=200)
-    parser.add_argument("--figures", type=pathlib.Path, default=DOCS / "soak.csv")
+    parser.add_argument("--figures", type=pathlib.Path, default=DOCS / "tables" / "soak.csv")
     arguments = parser.parse_args(options)
     package = load_extension()
     held = []

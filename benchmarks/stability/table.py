@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The outcomes as a table in docs/stability.md, as CSV, and as one picture."""
+"""The outcomes as CSV, and as one picture."""
 
 import matplotlib
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from ..support import pages
 
-BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 COLUMNS = ("group", "case", "against", "quantity", "error", "bound")
 
 
@@ -33,18 +32,6 @@ def write_csv(path, found, sources):
     """sources: sentences on what made the figures, one for each run that some of them are from."""
     formatted = ([*row[:4], f"{row[4]:g}", f"{row[5]:g}"] for row in rows(found))
     pages.replace(path, pages.csv_text(sources, COLUMNS, formatted))
-
-
-def write_table(path, found, sources):
-    """Replace what is between the marks in the page."""
-    lines = [f"{source}\n" for source in sources]
-    lines += ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
-    for group, name, against, quantity, error, bound in rows(found):
-        mark = "" if error <= bound else " **violated**"
-        lines.append(f"| {group} | {name} | {against} | {quantity} | {error:.2g}{mark} | {bound:g} |")
-    page = path.read_text()
-    before, rest = page.split(BEGIN)
-    pages.replace(path, "\n".join([before + BEGIN, "", *lines, "", END]) + rest.split(END)[1])
 
 
 def write_pictures(path, found):

@@ -8,6 +8,11 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from .data import ROOT
+
+DOCS = ROOT / "docs"
+TABLES, IMAGES = DOCS / "tables", DOCS / "images"
+
 
 def replace(path: Path, text: str) -> None:
     """Write a file through a temporary name, so that it is never half there."""
@@ -25,6 +30,33 @@ def between_marks(page: str, name: str, text: str) -> str:
 def with_table(page: str, name: str, table: str, made_by: str) -> str:
     """The page with a table, and the sentence on what made it, between its marks."""
     return between_marks(page, name, f"{table}\n\n{made_by}")
+
+
+def markdown_tables(text: str) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, header and rows of each Markdown table in a text; the title is the line of prose before it, or ""."""
+    found, title, lines = [], "", []
+    for line in [*text.splitlines(), ""]:
+        if line.startswith("|"):
+            lines.append([cell.strip() for cell in line.strip().strip("|").split("|")])
+        elif lines:
+            found.append((title, lines[0], lines[2:]))
+            title, lines = "", []
+        elif line.strip():
+            title = line.strip()
+    return found
+
+
+def write_tables(name: str, text: str, made_by: Sequence[str], folder: Path = TABLES) -> list[Path]:
+    """Write the Markdown tables of a text as CSV: NAME.csv, or NAME-1.csv and so on where there are several.
+
+    made_by: sentences on what made them, which stand above each, after its title.
+    """
+    found, written = markdown_tables(text), []
+    for number, (title, header, rows) in enumerate(found, 1):
+        written.append(folder / (f"{name}.csv" if len(found) == 1 else f"{name}-{number}.csv"))
+        said = [*([title] if title else []), *made_by]
+        replace(written[-1], csv_text(said, header if all(header[1:]) else ["quantity", "value"], rows))
+    return written
 
 
 def csv_text(made_by: Sequence[str], header: Sequence, rows: Iterable[Sequence]) -> str:

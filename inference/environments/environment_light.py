@@ -7,8 +7,9 @@ stays even and no energy is lost.
 """
 
 import functools
+import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_di
 from ..source_terms.cell_sources import EnteringLight
 from ..transport.discrete_ordinates import DiscreteOrdinates
 from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
+from .blurred_environment import blurred
 
 #: Rows of the images that are read here; larger ones are reduced before.
 ROWS = 64
@@ -28,31 +30,53 @@ SHARPNESS, ROUNDS = 12.0 / 26.0, 30
 ALBEDOS = (0.98, 0.8)
 # Images with fewer rows than this are divided before they are turned, and such with more reduced.
 TURNED_ROWS = 192
+# Skies in use, by the frame and the environments that they keep alive.
+_skies: "weakref.WeakValueDictionary[tuple, Skies]" = weakref.WeakValueDictionary()
 
 
 @dataclass(frozen=True)
 class Skies:
     """Light from everywhere, of which places see different shares.
 
-    image: float64 (ROWS, 2 ROWS, S C), radiance of S skies of C channels. weights: of the S skies.
+    image: float64 (ROWS, 2 ROWS, S C), radiance of S skies of C channels. weights: of the S skies. environments: whose
+    sum they are.
     """
 
     image: np.ndarray
     weights: tuple[PlaceWeight | PlaceLattice | None, ...]
+    environments: tuple[Environment, ...] = ()
+    _blurred: dict[tuple[float, ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, environments: Sequence[Environment], rotation: np.ndarray) -> "Skies":
-        """The sum of environments, in a frame as of `image_in_frame`."""
+        """The sum of environments, in a frame as of `image_in_frame`; the same object for instances turned alike."""
+        key = rotation.tobytes(), *map(id, environments)
+        known = _skies.get(key)
+        if known is not None:
+            return known
         weights = tuple(dict.fromkeys(environment.weight for environment in environments)) or (None,)
         images = [image_in_frame([e for e in environments if e.weight == weight], rotation) for weight in weights]
         channels = max(image.shape[2] for image in images)
         images = [np.broadcast_to(image, (*image.shape[:2], channels)) for image in images]
-        return cls(np.concatenate(images, axis=2), weights)
+        made = _skies[key] = cls(np.concatenate(images, axis=2), weights, tuple(environments))
+        return made
 
     @property
     def channels(self) -> int:
         """C: 1 if all light is grey, else 3."""
         return self.image.shape[2] // len(self.weights)
+
+    @functools.cached_property
+    def radiance(self) -> np.ndarray:
+        """As of `direction_radiance`, float32."""
+        return direction_radiance(self.image).astype(np.float32)
+
+    def blurred(self, anisotropies: Sequence[float]) -> np.ndarray:
+        """As of `blurred_environment`."""
+        key = tuple(anisotropies)
+        if key not in self._blurred:
+            self._blurred[key] = blurred(self.image, anisotropies)
+        return self._blurred[key]
 
     @property
     def vary(self) -> bool:

@@ -6,6 +6,7 @@ import threading
 import numpy as np
 
 from ..grids.working_cube import Cube, extent
+from ..numerics.alike import alike
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import AnyTasks
 from ..scene.description import Volume
@@ -23,7 +24,7 @@ class DensityReader:
         self.stencil, self.extent = stencil, extent(volume, cube)
         self.padded = padded_pyramid(volume, cube, stencil, cancel)
         self._lock = threading.Lock()
-        self._lattices: tuple[float, Lattices] | None = None
+        self._lattices: tuple[tuple[float, ...], Lattices] | None = None
 
     def level(self, m: int) -> np.ndarray:
         """The cells of level m that lie in the cube."""
@@ -31,10 +32,11 @@ class DensityReader:
 
     def lattices(self, sigma_hat: float, tasks: AnyTasks) -> Lattices:
         """As `density_lattices`; they serve every light. Raises Cancelled."""
+        key = alike(sigma_hat)
         with tasks.cancel.locked(self._lock):
-            if self._lattices is None or self._lattices[0] != sigma_hat:
+            if self._lattices is None or self._lattices[0] != key:
                 # Released before building new ones.
                 self._lattices = None
                 lattices = density_lattices(self.padded, sigma_hat, self.stencil, self.extent, tasks.each)
-                self._lattices = sigma_hat, lattices
+                self._lattices = key, lattices
             return self._lattices[1]

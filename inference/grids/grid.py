@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A volume at the resolution of its density, for camera rays and single scattering."""
 
-import functools
 import threading
+import weakref
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,12 +16,52 @@ from ..scene.errors import SceneError
 from ..scene.sparse_grid import SparseGrid
 from .bounds import filled_bounds
 from .dense_grid import DenseGrid, refined
-from .occupancy import Occupancy
+from .occupancy import LEAST_CELLS, MOST_CELLS, Occupancy
 from .sun_optical_depth import SunOpticalDepth
 
 
+class Voxels:
+    """The active part of a volume's density and emission, wherever the volume lies. Instances share it.
+
+    density, emission, scattering, occupancy: as of Grid. filled: bounds of the density alone, as of `filled_bounds`.
+    low: first active voxel int (3,). times: factor of refinement. source: the volume, whose arrays it keeps alive.
+
+    Safe to use on several threads. Raises SceneError if density and emission are 0 everywhere.
+    """
+
+    def __init__(self, volume: Volume):
+        emission = volume.emission_channels()
+        self.source, self.filled = volume, filled_bounds(volume.density)
+        bounds = [box for box in (self.filled, *map(filled_bounds, emission)) if box is not None]
+        if not bounds:
+            raise SceneError(f"{volume.name}: the density grid is zero everywhere")
+        self.low = low = np.min([first for first, _ in bounds], axis=0)
+        high = np.max([end for _, end in bounds], axis=0)
+        self.times = times = 1 if isinstance(volume.density, SparseGrid) else refinement(high - low)
+        self.density = _cropped(volume.density, low, high, times)
+        self.emission = [_cropped(channel, low, high, times) for channel in emission]
+        self.scattering = [_cropped(channel, low, high, times) for channel in volume.scattering or ()]
+        filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
+        self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
+        # Of all instances, as long as one of them holds them.
+        self._sun_depths: weakref.WeakValueDictionary[bytes, SunOpticalDepth] = weakref.WeakValueDictionary()
+        self._lock = threading.Lock()
+
+    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: (3,) towards it, d(index)/d(world unit). Raises Cancelled."""
+        found = []
+        with cancel.locked(self._lock):
+            for direction in directions:
+                cancel.check()
+                key = bytes(direction)
+                known = self._sun_depths.get(key) or SunOpticalDepth(self.density, direction, cancel)
+                self._sun_depths[key] = known
+                found.append(known)
+        return found
+
+
 class Grid:
-    """The active part of a volume's density and emission.
+    """The active part of a volume's density and emission, in its place.
 
     Voxels are those of the volume, or finer voxels if these are few. Indices count from the centre of the first active
     voxel; the support of the trilinear interpolant is the box from -1 to the number of voxels on each axis.
@@ -30,49 +70,33 @@ class Grid:
     scattering: density times albedo, one grid or one per colour channel, or none for a uniform albedo.
     occupancy: Occupancy of density and emission. shape: voxels. peak: largest density. linear: (3, 3) and offset: (3,),
     continuous indices from world positions. box: lowest and highest index (3,) of the support. voxel, longest: shortest
-    and longest edge of a voxel in world units.
+    and longest edge of a voxel in world units. voxels: that it shares with other instances of the volume.
 
     Safe to use on several threads. Raises SceneError if density and emission are 0 everywhere.
     """
 
-    def __init__(self, volume: Volume):
-        emission = volume.emission_channels()
-        bounds = [box for box in map(filled_bounds, (volume.density, *emission)) if box is not None]
-        if not bounds:
-            raise SceneError(f"{volume.name}: the density grid is zero everywhere")
-        low = np.min([first for first, _ in bounds], axis=0)
-        high = np.max([end for _, end in bounds], axis=0)
-        times = 1 if isinstance(volume.density, SparseGrid) else refinement(high - low)
-        self.density = _cropped(volume.density, low, high, times)
-        self.emission = [_cropped(channel, low, high, times) for channel in emission]
-        self.emission_power = volume.emission_power
-        self.scattering = [_cropped(channel, low, high, times) for channel in volume.scattering or ()]
-        filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
-        self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
-        self.shape, self.peak = self.density.shape, self.density.peak
+    def __init__(self, volume: Volume, voxels: Voxels | None = None):
+        """voxels: of another instance, None to make them."""
+        self.voxels = voxels = voxels or Voxels(volume)
+        self.density, self.emission, self.scattering = voxels.density, voxels.emission, voxels.scattering
+        self.emission_power, self.occupancy = volume.emission_power, voxels.occupancy
+        self.shape, self.peak, times = self.density.shape, self.density.peak, voxels.times
         self.box = np.full(3, -1.0), np.array(self.shape, np.float64)
         index_from_world = affine_inverse(volume.world_from_index)
         self.linear = times * index_from_world[:3, :3]
-        self.offset = times * (index_from_world[:3, 3] - low + 1.0) - 1.0
+        self.offset = times * (index_from_world[:3, 3] - voxels.low + 1.0) - 1.0
         sizes = np.linalg.norm(volume.world_from_index[:3, :3], axis=0) / times
         self.voxel, self.longest = float(sizes.min()), float(sizes.max())
-        self._sun_depths: dict[bytes, SunOpticalDepth] = {}
-        self._lock = threading.Lock()
+        self._sun_depths: list[SunOpticalDepth] = []
 
     def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
         """Optical depth towards each sun; directions: unit vectors (3,) in the world.
 
-        The depths of the last call are cached. Raises Cancelled.
+        The depths of the last call are cached, and shared with other instances. Raises Cancelled.
         """
-        index_directions = [self.linear @ direction for direction in directions]
-        with cancel.locked(self._lock):
-            previous, self._sun_depths = self._sun_depths, {}
-            for direction in index_directions:
-                cancel.check()
-                key = bytes(direction)
-                if key not in self._sun_depths:
-                    self._sun_depths[key] = previous.get(key) or SunOpticalDepth(self.density, direction, cancel)
-            return [self._sun_depths[bytes(direction)] for direction in index_directions]
+        found = self.voxels.sun_depths([self.linear @ direction for direction in directions], cancel)
+        self._sun_depths = found
+        return found
 
     def index(self, world: np.ndarray) -> np.ndarray:
         """Continuous indices float64 (N, 3) of world positions (N, 3)."""
@@ -86,12 +110,11 @@ class Grid:
         )
         return product(ends - self.offset, inverse(self.linear).T)
 
-    @functools.cached_property
-    def support(self) -> tuple[np.ndarray, np.ndarray]:
+    def support(self, detail: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Cells outside of which density and emission are 0, bool (x, y, z), and the world positions
-        (x + 1, y + 1, z + 1, 3) of their corners.
+        (x + 1, y + 1, z + 1, 3) of their corners. detail: fraction of the cells along an edge that are told apart.
         """
-        cells, faces = self.occupancy.support()
+        cells, faces = self.occupancy.support(max(round(detail * MOST_CELLS), LEAST_CELLS))
         corners = np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
         return cells, product(corners - self.offset, inverse(self.linear).T)
 

@@ -7,8 +7,8 @@ import numpy as np
 
 #: Distance in voxels along any axis, within which nothing is missed, including the reach of interpolation.
 REACH = 2
-#: Cells along an edge that are enough to tell which pixels a grid is seen in.
-MOST_CELLS = 96
+#: Cells along an edge that are enough to tell which pixels a grid is seen in, and at least.
+MOST_CELLS, LEAST_CELLS = 96, 8
 
 
 class Occupancy:
@@ -21,6 +21,7 @@ class Occupancy:
     def __init__(self, filled: np.ndarray, peaks: np.ndarray, cell: int, first: np.ndarray):
         self.cell, self.first, self._filled = cell, first, filled
         self._peaks = peaks
+        self._supports: dict[int, tuple[np.ndarray, list[np.ndarray]]] = {}
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
 
@@ -47,16 +48,21 @@ class Occupancy:
             bounds = np.moveaxis(np.maximum(bounds, np.concatenate([bounds[1:], np.zeros_like(bounds[:1])])), 0, axis)
         return np.ascontiguousarray(bounds, np.float32)
 
-    def support(self) -> tuple[np.ndarray, list[np.ndarray]]:
+    def support(self, most: int = MOST_CELLS) -> tuple[np.ndarray, list[np.ndarray]]:
         """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of
-        their faces along each axis. At most MOST_CELLS along each axis.
+        their faces along each axis. At most `most` along each axis.
         """
+        if most not in self._supports:
+            self._supports[most] = self._support(most)
+        return self._supports[most]
+
+    def _support(self, most: int) -> tuple[np.ndarray, list[np.ndarray]]:
         # Interpolation reaches a voxel further: cells begin one voxel earlier, and the next cell holds it, too.
         filled = np.pad(self._filled, (0, 1))
         for axis in range(3):
             along = np.moveaxis(filled, axis, 0)
             along[1:] |= along[:-1].copy()
-        times = -(-max(filled.shape) // MOST_CELLS)
+        times = -(-max(filled.shape) // most)
         for axis in range(3):
             filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], times), axis=axis)
         faces = [(np.arange(n + 1) * times * self.cell - first - 1.0) for n, first in zip(filled.shape, self.first)]

@@ -25,6 +25,8 @@ from .resampling import INNER, Placement, resample
 
 # Axes of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
+# Distance in voxels below which places in them count as the same.
+SAME_PLACE = 1e-6
 # Planes between two polls of cancellation.
 PLANES = 4
 
@@ -43,6 +45,19 @@ class Cube:
     low: np.ndarray
     high: np.ndarray
 
+    @property
+    def key(self) -> bytes:
+        """Equal for cubes that lie at the same place of the world."""
+        return b"".join((self.rotation.tobytes(), self.centre.tobytes(), np.float64(self.edge).tobytes()))
+
+    def in_voxels(self, volume: Volume) -> bytes:
+        """Equal for instances of a volume whose cubes lie alike in its voxels, to SAME_PLACE of one."""
+        index_from_world = affine_inverse(volume.world_from_index)
+        axes = index_from_world[:3, :3] @ self.rotation * self.edge
+        centre = index_from_world[:3, :3] @ self.centre + index_from_world[:3, 3]
+        # Adding 0 turns -0 into 0.
+        return (np.round(np.column_stack([axes, centre]) / SAME_PLACE) + 0.0).tobytes()
+
     def positions(self, world: np.ndarray) -> np.ndarray:
         """World positions (..., 3) in the cube's frame."""
         return product(world - self.centre, self.rotation) / self.edge
@@ -56,13 +71,15 @@ class Cube:
         return product(world, self.rotation)
 
 
-def fit_cube(volume: Volume) -> Cube:
+def fit_cube(volume: Volume, bounds: tuple[np.ndarray, np.ndarray] | None = None) -> Cube:
     """Smallest cube around the support of the active voxels' trilinear interpolant.
+
+    bounds: of `active_bounds` where they are known.
 
     The cube follows the axes of the grid if these are perpendicular in the world, and those of the world if the
     transform shears. Raises SceneError if the density is 0 everywhere.
     """
-    low, high = active_bounds(volume.density)
+    low, high = active_bounds(volume.density) if bounds is None else bounds
     axes = volume.world_from_index[:3, :3]
     sizes = np.linalg.norm(axes, axis=0)
     rotation = axes / sizes

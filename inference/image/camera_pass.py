@@ -10,7 +10,7 @@ from ..grids.bound_medium import BoundMedium
 from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
-from ..marching.ray_steps import RayBatch, step_counts
+from ..marching.ray_steps import RayBatch
 from ..numerics.quadrature import PLASTIC
 from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import end_rays_at_surfaces
@@ -72,7 +72,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
     rays = _tile_rays(context, scene, channel_pass, tile)
     if rays is None:
         return None
-    counts = step_counts(channel_pass.media, rays.batch)
+    counts = channel_pass.step_counts(rays.batch)
     report.count("steps", counts.sum())
     longest = counts.max()
     if longest > MAX_STEPS:
@@ -88,7 +88,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         context.cancel.check()
         span = slice(start, start + size)
         batch = rays.batch.take(span)
-        segment = channel_pass.march(batch)
+        segment = channel_pass.march.march_steps(batch, counts[span])
         single = shade.single(segment, batch, rays.pixel[span], rays.free[span])
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
@@ -120,6 +120,8 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         lamp_features=RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
         scattering=np.concatenate(scattering) if scattering else None,
         detail=rays.batch.detail,
+        volumes=None if channel_pass.whole is None else channel_pass.volumes,
+        groups=None if channel_pass.whole is None else channel_pass.groups,
     )
     report.count("points", len(samples.ray))
     return samples
@@ -146,7 +148,7 @@ def estimate_march(
     hit = np.flatnonzero(near < far)
     batch = channel_pass.detailed(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
     steps, samples = 0, 0
-    size = _rays_per_task(context, scene, step_counts(channel_pass.media, batch)) if len(hit) else 1
+    size = _rays_per_task(context, scene, channel_pass.step_counts(batch)) if len(hit) else 1
     for start in range(0, len(hit), size):
         context.cancel.check()
         segment = channel_pass.march(batch.take(slice(start, start + size)))
@@ -179,9 +181,9 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
     suns = scene.plan.suns
-    linked, known = scene.plan.linking(suns), {}
+    linked, known = scene.plan.linking(suns, channel_pass.volumes), {}
     for c in indices:
-        albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
+        albedo = np.array([last_albedo(*scene.plan.volumes[v])[c] for v in channel_pass.volumes])
         light, place = linked * albedo[:, None] * [sun.irradiance[c] for sun in suns], channel_pass.scattering_place(c)
         # Channels may be lit alike.
         key = place, light.tobytes()

@@ -14,7 +14,7 @@ from ..marching.extended_lights import ExtendedLights
 from ..marching.lamp_detail import detail_of_rays
 from ..marching.lamp_in_media import LampInMedia
 from ..marching.marcher import Marcher
-from ..marching.ray_steps import RayBatch
+from ..marching.ray_steps import RayBatch, step_counts
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
 from ..network.uncertainty import UncertaintyNetwork
@@ -27,10 +27,10 @@ from ..runtime.progress import Progress
 from ..runtime.report import Report
 from ..runtime.tasks import Tasks
 from ..scene.camera import Camera
-from ..scene.camera_rays import pixels_around
 from ..scene.environment import Environment
 from ..scene.settings import Settings
 from .framebuffer import Framebuffer, Window
+from .seen_volumes import SeenVolumes, shown_pixels
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,28 @@ class PreparedScene:
         """Corners (8 V, 3) of the volumes in the world."""
         return np.concatenate([grid.corners() for grid in self.grids])
 
-    @functools.cached_property
+    @property
     def shown(self) -> np.ndarray:
         """bool (rows, columns): pixels of the camera's window in which rays may meet a volume."""
         x0, y0, x1, y1 = self.camera.window
         if "missed_pixels" not in self.plan.optimizations:
             return np.ones((y1 - y0, x1 - x0), bool)
-        return np.logical_or.reduce([pixels_around(self.camera, *grid.support) for grid in self.grids])
+        return self._shown[0]
+
+    @functools.cached_property
+    def _shown(self) -> tuple[np.ndarray, np.ndarray]:
+        return shown_pixels(self.camera, self.grids)
+
+    @functools.cached_property
+    def _seen(self) -> SeenVolumes:
+        return SeenVolumes(self._shown[1], self.corners, [sun.direction for sun in self.plan.suns])
+
+    def groups_in(self, window: Window) -> list[int]:
+        """Groups of volumes that matter to rays of a part of the image."""
+        if len(self.plan.groups) == 1 or "missed_pixels" not in self.plan.optimizations:
+            return list(range(len(self.plan.groups)))
+        volumes = set(self._seen(window).tolist())
+        return [g for g, members in enumerate(self.plan.groups) if not volumes.isdisjoint(members)]
 
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""
@@ -123,15 +138,30 @@ class ChannelPass:
 
     media: of each volume, with its extinction in these channels. march: marches camera rays through the media.
     scattering: as in MarchOptions. near: lamps near volumes, whose light needs more depth samples. most_detail: as in
-    MarchOptions.
+    MarchOptions. groups, volumes: numbers of those that rays are marched through. whole: the pass through all of them,
+    if these are not all.
     """
 
     channels: Channels
-    media: list[BoundMedium]
+    media: Sequence[BoundMedium]
     march: Marcher
     scattering: Sequence[int] = (0,)
     near: Sequence[LampInMedia] = ()
     most_detail: int = 1
+    groups: Sequence[int] = ()
+    volumes: Sequence[int] = ()
+    whole: "ChannelPass | None" = None
+
+    def through(self, groups: Sequence[int]) -> "ChannelPass":
+        """The same through some groups of volumes alone, by number; in the light of lamps through all of them."""
+        if self.march.has_lamps or len(groups) == len(self.groups):
+            return self
+        march = self.march.through(groups)
+        return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes, whole=self)
+
+    def step_counts(self, rays: RayBatch) -> np.ndarray:
+        """As the function of that name, for all volumes, whichever are marched through."""
+        return step_counts((self.whole or self).media, rays)
 
     def detailed(self, rays: RayBatch) -> RayBatch:
         """Rays with as many depth samples as the light of lamps near them needs."""

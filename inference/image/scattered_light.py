@@ -20,6 +20,8 @@ def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile:
     """Add the light of every source to the tile, and its uncertainty. Raises Cancelled."""
     with tile.report.stage("network"):
         for source in sources:
+            if not samples.meets(source.members):
+                continue
             asked = samples if source.needs_detail else samples.nodes
             inside = np.flatnonzero(asked.share(source.members))
             if not len(inside):
@@ -112,7 +114,7 @@ class TileEstimate:
             directions=samples.directions[samples.ray[points]],
             jitter=None if isinstance(points, slice) else samples.jitter(points),
             numbers=points,
-            group=self.source.group,
+            group=samples.place_of_group(self.source.group),
             suns=samples.features,
             lamps=samples.lamp_features,
             depths=self._depths,

@@ -68,7 +68,8 @@ class DepthSamples:
     each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), of the extinction
     in each volume. features: for networks that need them, or None. lamp_features: the same of lamps.
     scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. detail: int (P,), as of RayBatch, or
-    None.
+    None. volumes, groups: numbers, ascending, of those that rays were marched through; None for all of them. Other
+    volumes are not met.
     """
 
     pixel: np.ndarray
@@ -83,6 +84,8 @@ class DepthSamples:
     lamp_features: RayFeatures | None = None
     scattering: np.ndarray | None = None
     detail: np.ndarray | None = None
+    volumes: Sequence[int] | None = None
+    groups: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -115,6 +118,8 @@ class DepthSamples:
             features=None if self.features is None else RayFeatures(self.features.values[at_nodes]),
             lamp_features=None if self.lamp_features is None else RayFeatures(self.lamp_features.values[at_nodes]),
             scattering=None if self.scattering is None else self.scattering[at_nodes],
+            volumes=self.volumes,
+            groups=self.groups,
         )
 
     def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -137,8 +142,22 @@ class DepthSamples:
 
     def share(self, members: Sequence[int]) -> np.ndarray:
         """Fraction float32 (M,) of the extinction at each sample that the member volumes have."""
+        if not self.meets(members):
+            return np.zeros(len(self.fraction), np.float32)
+        members = self._places(members)
         # numpy is slow to sum along an axis of length 1.
         return self.fraction[:, members[0]] if len(members) == 1 else self.fraction[:, members].sum(axis=1)
+
+    def meets(self, members: Sequence[int]) -> bool:
+        """Whether rays were marched through volumes of a group."""
+        return self.volumes is None or members[0] in self.volumes
+
+    def _places(self, members: Sequence[int]) -> Sequence[int]:
+        return members if self.volumes is None else [self.volumes.index(v) for v in members]
+
+    def place_of_group(self, group: int) -> int:
+        """Place of a group in the ray features."""
+        return group if self.groups is None else self.groups.index(group)
 
     def scattered(
         self, samples: np.ndarray | slice, members: Sequence[int], factors: np.ndarray, columns: Sequence[int]
@@ -147,7 +166,7 @@ class DepthSamples:
 
         factors: float32 (V, C) of each member. columns: index of each channel in `scattering`.
         """
-        weight = self.weight[samples, None]
+        weight, members = self.weight[samples, None], self._places(members)
         if self.scattering is None and len(members) == 1:
             return weight * self.fraction[samples, members[0], None] * factors
         if self.scattering is None:

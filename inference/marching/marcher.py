@@ -8,6 +8,7 @@ exact (`kernels/march.c`).
 import threading
 from collections.abc import Sequence
 from ctypes import addressof, c_int32, c_void_p
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,15 +70,40 @@ class Marcher:
 
         lamps: whose light is gathered, too; None for none.
         """
-        self._lamps = lamps
+        self._lamps, self._indices = lamps, list(channels)
         self._kernels, self._media, self._options = library.load_kernels(), media, options
         self._channels, self._emits = len(channels), any(medium.emits for medium in media)
+        #: Numbers of the media, of those that another Marcher marches through.
+        self.volumes: Sequence[int] = range(len(media))
         self._varying = sum(medium.varies for medium in media)
         self._stop = stop
         self._groups = options.groups or [[v] for v in range(len(media))]
-        self._suns = len(media[0].sun_depths)
+        self._suns = len(media[0].sun_depths) if media else 0
         self._scene = self._describe(list(channels))
         self._local = threading.local()
+
+    @property
+    def has_lamps(self) -> bool:
+        """Whether light of lamps is gathered."""
+        return self._lamps is not None
+
+    @property
+    def media(self) -> Sequence[BoundMedium]:
+        """Through which it marches."""
+        return self._media
+
+    def through(self, groups: Sequence[int]) -> "Marcher":
+        """Marches through some groups of media alone, by number, in the light of suns."""
+        volumes = sorted(v for g in groups for v in self._groups[g])
+        places, fluence = {v: place for place, v in enumerate(volumes)}, self._options.fluence
+        options = replace(
+            self._options,
+            groups=[[places[v] for v in self._groups[g]] for g in groups],
+            fluence=None if fluence is None else [fluence[g] for g in groups],
+        )
+        found = Marcher([self._media[v] for v in volumes], options, self._indices, self._stop)
+        found.volumes = volumes
+        return found
 
     def __call__(self, rays: RayBatch) -> RaySegment:
         """March rays whose intervals contain all media. Raises Cancelled."""
@@ -183,12 +209,12 @@ class Marcher:
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
-            fluence=None if options.fluence is None else structures.array_of([_fluence(f) for f in options.fluence]),
+            fluence=None if options.fluence is None else structures.array_of(_fluences(options.fluence)),
             lamps=0 if lamps is None else len(lamps.lamps),
             lamp_list=structures.array_of(
                 [_lamp(lamp, self._media, lamps.mean(k)) for k, lamp in enumerate(lamps.lamps)] if lamps else []
             ),
-            lamp_fluence=structures.array_of([_fluence(f) for f in lamps.fluence or []] if lamps else []),
+            lamp_fluence=structures.array_of(_fluences(lamps.fluence or []) if lamps else []),
             lamp_radius=lamps.radius if lamps else 0.0,
             brief=BRIEF,
             wide=WIDE,
@@ -294,10 +320,16 @@ def _shadow_map(shadow_map: ShadowMap) -> structures.Shared:
     )
 
 
-def _fluence(fluence: ScatteredFluence | None) -> structures.Shared:
+def _fluences(fluences: Sequence[ScatteredFluence | None]) -> list[structures.Shared]:
+    # Instances share lights.
+    lights = {id(light): light for one in fluences if one for light in one.lights}
+    single = {key: np.ascontiguousarray(light, np.float32) for key, light in lights.items()}
+    return [_fluence(one, [single[id(light)] for light in one.lights] if one else []) for one in fluences]
+
+
+def _fluence(fluence: ScatteredFluence | None, lights: Sequence[np.ndarray]) -> structures.Shared:
     if fluence is None:
         return structures.Fluence(reduced_fraction=1.0)
-    lights = [np.ascontiguousarray(light, np.float32) for light in fluence.lights]
     assert all(light.shape == (CELLS, CELLS, CELLS, 4) for light in lights)
     pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
     described = structures.Fluence(

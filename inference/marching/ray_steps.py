@@ -62,9 +62,7 @@ def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
 
 def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
     """Number of coarse steps int (R,) per ray, for the medium that needs the most."""
-    crossed = [
-        lengths(product(rays.directions, medium.linear.T)) * (rays.far - rays.near)
-        for medium in media
-        if medium.matters
-    ]
+    # Instances that are turned alike need the same.
+    turned = {medium.linear.tobytes(): medium.linear for medium in media if medium.matters}
+    crossed = [lengths(product(rays.directions, linear.T)) * (rays.far - rays.near) for linear in turned.values()]
     return np.ceil(np.maximum(np.max(crossed, axis=0), MIN_VOXELS) * steps_per_voxel(media)).astype(int)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 import numpy as np
 
 from ..grids.working_cube import Cube
+from ..numerics.alike import alike
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..source_terms.lamp_beam import CubeCells
@@ -28,6 +29,10 @@ class PlacedLight(Protocol):
     @property
     def key(self) -> Hashable:
         """Equal for lights that are alike."""
+
+    @property
+    def cube(self) -> Cube:
+        """The working cube."""
 
     @property
     def any_thickness(self) -> bool:
@@ -105,8 +110,13 @@ class Conditions(Generic[AnyLight]):
 
     @property
     def key(self) -> Hashable:
-        """Equal for conditions with equal light in the coarse transport."""
-        return self.sigma_hat, self.light.key, self.occluders, self.albedo
+        """Equal for conditions with equal light in the coarse transport, in any instance of a volume."""
+        return alike(self.sigma_hat), self.light.key, self.surfaces_key, self.albedo
+
+    @property
+    def surfaces_key(self) -> tuple[bytes, ...]:
+        """Equal for conditions with equal surfaces, in any instance of a volume."""
+        return (self.occluders,) if self.triangles is None else (self.occluders, self.light.cube.key)
 
 
 #: Of a light that the network for suns predicts.

@@ -107,6 +107,10 @@ class Predictor(Protocol):
         """
         return None
 
+    def at(self, cube: Cube) -> "Predictor":
+        """The same for another instance of the volume, whose working cube lies alike in its voxels."""
+        return self
+
 
 class EveryLightPredictor(Predictor, Protocol):
     """A Predictor for every kind of light. Methods raise Cancelled."""

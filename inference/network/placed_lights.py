@@ -14,6 +14,7 @@ from ..grids.sphere_depth import start_depths
 from ..grids.working_cube import Cube
 from ..marching.joined_lamps import PredictedLamp
 from ..marching.lamp_in_media import softened
+from ..numerics.alike import alike_vector
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
@@ -45,7 +46,10 @@ class PlacedSun:
     @property
     def key(self) -> Hashable:
         """As of PlacedLight."""
-        return *self.sun.direction, self.sun.screen_key
+        direction = alike_vector(self.direction)
+        if self.shadow_map is None and not self.sun.screen_key:
+            return direction
+        return direction, self.sun.screen_key, self.cube.key
 
     @cached_property
     def direction(self) -> np.ndarray:
@@ -102,7 +106,7 @@ class PlacedLamp:
     @property
     def key(self) -> Hashable:
         """As of PlacedLight."""
-        return self.lamp.key, self.radius
+        return self.lamp.key, self.radius, self.cube.key
 
     @cached_property
     def beam(self) -> LampInCube:

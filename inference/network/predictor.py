@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from ..environments.surface_irradiance import SurfaceIrradiance
-from ..grids.working_cube import extent, fit_cube
+from ..grids.working_cube import Cube, extent, fit_cube
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
 from ..runtime.cancellation import NEVER, CancelToken
@@ -44,6 +44,7 @@ class VolumePredictor:
     """A network with what it reads of one volume, for any extinction and sun.
 
     network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
+    cube: of `fit_cube`, where it is known. like: of another instance of the same voxels, whose cube lies alike in them.
     Safe on several threads. Raises Cancelled.
 
     Outside the range of optical thickness that the network was trained for, the prediction is that at the end of the
@@ -58,12 +59,17 @@ class VolumePredictor:
         volume: Volume,
         anisotropy: float,
         cancel: CancelToken = NEVER,
+        cube: Cube | None = None,
+        like: "VolumePredictor | None" = None,
     ):
         self.network, self.volume = network, volume
-        self.cube, self.requested_anisotropy = fit_cube(volume), anisotropy
+        self.cube, self.requested_anisotropy = cube or fit_cube(volume), anisotropy
         self.extent = extent(volume, self.cube)
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
-        self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
+        if like is None:
+            self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
+        else:
+            self._predictor = like._predictor.at(self.cube)
         self._lock = threading.Lock()
         # The last of each class of light.
         self._last: dict[type, tuple[Hashable, RadiancePredictor]] = {}
@@ -104,7 +110,7 @@ class VolumePredictor:
 
     def peak_sigma_hat(self, sigma_t: float) -> float:
         """Optical thickness of the working cube at the largest density."""
-        return sigma_t * self.cube.edge * float(self.volume.density.max())
+        return sigma_t * self.cube.edge * self.volume.peak
 
     def outside(self, sigma_t: float) -> float:
         """Standard deviation of the relative error that comes of a medium outside the trained range."""

@@ -15,7 +15,7 @@ from .prepared_rays import PreparedRays
 from .uncertainty import Predicted, UncertaintyNetwork
 
 # Standard deviation of the relative error where the coarse transport takes the network's place, around lamps near a
-# volume or inside it; docs/method-details.md, Compose.
+# volume or inside it; docs/understand/method-details.md, Compose.
 NEARBY_DEVIATION = 0.08
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What networks of kind "ray" predict from at points, in the light of one sun or lamp."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,16 +19,16 @@ from .uncertainty import Predicted, UncertaintyNetwork, deviations
 class PreparedRays:
     """A `ray_predictor.RayPredictor` under certain conditions; a `PreparedPrediction`.
 
-    source: the light. light: what of it has scattered, over `scale`. gather: of its unscattered light, over `most`.
-    ahead: distance along camera rays at which its direction is taken: a forward phase function scatters into a ray what
-    arrives from ahead.
+    source: the light. light: what of it has scattered, over `scale`. gather: gives what gathers its unscattered light,
+    over `most`. ahead: distance along camera rays at which its direction is taken: a forward phase function scatters
+    into a ray what arrives from ahead.
     """
 
     network: PointNetwork
     lookup: FieldLookup
     source: PredictedLight
     light: FluenceLattice
-    gather: FinalGather
+    gather: Callable[[], FinalGather]
     anisotropy: float
     ahead: float
     scale: float
@@ -61,7 +62,7 @@ class PreparedRays:
         stencil = self.lookup(positions, omega[first], view, points.jitter, local).reshape(len(points), -1)
         gamma = angle_to_sun(omega[first], towards)
         around = self.light.read(positions, omega, towards, self.anisotropy)
-        gathered = self.gather(positions, frames(omega[first], towards)[view])
+        gathered = self.gather()(positions, frames(omega[first], towards)[view])
         # As if a sun of the irradiance at each point stood where the light does.
         irradiance = np.maximum(points.irradiance, 1e-30)
         of_sun = np.atleast_1d(self.scale / irradiance).astype(np.float32)

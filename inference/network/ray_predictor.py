@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How networks of kind "ray" read a volume."""
 
+import copy
 import functools
 import threading
-from collections.abc import Hashable, Sequence
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..environments.blurred_environment import blurred
-from ..environments.environment_light import direction_radiance, ordinate_radiance, reaching, solve_environment
+from ..environments.environment_light import ordinate_radiance, reaching, solve_environment
 from ..environments.open_depths import OpenDepths, direction_depths
 from ..features.density_reader import DensityReader
 from ..features.descriptors import FieldLookup
@@ -19,6 +21,7 @@ from ..features.stencil import SPARSE, Stencil
 from ..grids.halving import halve
 from ..grids.working_cube import Cube
 from ..models.abilities import Abilities
+from ..numerics.alike import SAME, alike
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
@@ -43,8 +46,10 @@ from .network import Kind
 from .placed_lights import PlacedSkies
 from .prepared_rays import PreparedRays
 
-# Fluence lattices, of lights and optical thicknesses, that are cached per volume.
+# Fluence lattices, of lights and optical thicknesses, that are cached per instance.
 MAX_LATTICES = 128
+# Lights in instances whose final gathering is kept at a time; more than threads.
+MAX_GATHERS = 24
 
 
 @dataclass(frozen=True)
@@ -61,10 +66,52 @@ class _Solved:
 
     @functools.cached_property
     def light(self) -> np.ndarray:
-        """Fluence and flux, float16 (64, 64, 64, 4)."""
-        return (
+        """Fluence and flux, float32 (64, 64, 64, 4), of half precision. Whoever reads them shares this array."""
+        light = (
             fluence_and_flux(self.cells) if self.for_networks else self.cells[1:-1, 1:-1, 1:-1, :4].astype(np.float16)
         )
+        return np.ascontiguousarray(light, np.float32)
+
+
+@dataclass(frozen=True)
+class _SolvedEnvironment:
+    """`solve_environment` of some skies. key: of what it was solved for."""
+
+    key: Hashable
+    lattices: tuple[np.ndarray, np.ndarray]
+
+
+class _Instances:
+    """What the instances of a volume share: what they read, and of each light what any of them still uses.
+
+    many: whether there are several.
+    """
+
+    def __init__(self) -> None:
+        self.many = False
+        self.transport: tuple[Hashable, DiscreteOrdinates] | None = None
+        self.depths: OpenDepths | None = None
+        self.albedo: CoarseAlbedo | None = None
+        self.solved: weakref.WeakValueDictionary[Hashable, _Solved] = weakref.WeakValueDictionary()
+        self.environments: weakref.WeakValueDictionary[Hashable, _SolvedEnvironment] = weakref.WeakValueDictionary()
+        self.prepared: weakref.WeakValueDictionary[Hashable, PreparedRays] = weakref.WeakValueDictionary()
+        self._gathers: OrderedDict[Hashable, FinalGather] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def gather(self, key: Hashable, make: Callable[[], tuple[FinalGather, float]]) -> FinalGather:
+        """What `make` makes, of which the last are kept: of each sun in each instance they would take much memory."""
+        with self._lock:
+            gather = self._gathers.pop(key, None)
+        gather = make()[0] if gather is None else gather
+        with self._lock:
+            self._gathers[key] = gather
+            while len(self._gathers) > MAX_GATHERS:
+                self._gathers.popitem(last=False)
+        return gather
+
+
+def _itself(gather: FinalGather) -> FinalGather:
+    return gather
 
 
 class RayPredictor(Predictor):
@@ -89,31 +136,53 @@ class RayPredictor(Predictor):
         self.volume, self.density = volume, DensityReader(volume, cube, network.points, cancel)
         # The levels that the coarse transport is solved on and that light is gathered through.
         self.coarse, self.fine = (np.ascontiguousarray(self.density.level(m)) for m in (LEVEL, GATHER_LEVEL))
-        self._transport: tuple[tuple[float, bytes], DiscreteOrdinates] | None = None
+        self._shared = _Instances()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Hold nothing of any light."""
         self._solved: dict[Hashable, _Solved] = {}
-        self._depths: OpenDepths | None = None
-        self._environment: tuple[Hashable, tuple[np.ndarray, np.ndarray]] | None = None
-        self._albedo: CoarseAlbedo | None = None
+        self._environment: _SolvedEnvironment | None = None
         self._places: dict[Hashable, np.ndarray] = {}
+
+    def at(self, cube: Cube) -> "RayPredictor":
+        """As of Predictor."""
+        instance = copy.copy(self)
+        instance.cube = cube
+        instance._forget()
+        self._shared.many = True
+        return instance
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedRays:
         """What predicts under these conditions. Raises Cancelled."""
         light, sigma_hat = conditions.light, conditions.sigma_hat
         with tasks.cancel.locked(self._lock):
+            known = self._shared.prepared.get(conditions.key)
             lattices = self.density.lattices(conditions.sigma_hat, tasks)
             solved = self._solve(conditions, tasks.cancel)
-        depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), tasks.cancel)
-        return PreparedRays(
+        if known is not None:
+            return known
+
+        def make(cancel: CancelToken = NEVER) -> tuple[FinalGather, float]:
+            depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), cancel)
+            return FinalGather.of(self.fine, depth, solved.light, (sigma_hat, self.anisotropy)), most
+
+        gather, most = functools.partial(self._shared.gather, conditions.key, make), 1.0
+        if light.near is not None or not self._shared.many:
+            held, most = make(tasks.cancel)
+            gather = functools.partial(_itself, held)
+        prepared = self._shared.prepared[conditions.key] = PreparedRays(
             network=self.network,
             lookup=FieldLookup(self.network.points, lattices, light.direction),
             source=light,
             light=FluenceLattice(solved.cells),
-            gather=FinalGather.of(self.fine, depth, solved.light, (sigma_hat, self.anisotropy)),
+            gather=gather,
             anisotropy=self.anisotropy,
             ahead=self.anisotropy * mean_free_path(self.coarse, sigma_hat),
             scale=solved.scale,
             most=most,
         )
+        return prepared
 
     def prepare_environment(
         self,
@@ -128,20 +197,26 @@ class RayPredictor(Predictor):
         """
         skies = conditions.light.skies
         ordinates = ordinate_radiance(skies.image)
-        key = conditions.sigma_hat, ordinates.tobytes(), skies.weights
+        brightest = max(float(ordinates.max(initial=0.0)), 1e-30)
+        key: Hashable = alike(conditions.sigma_hat, brightest), np.round(ordinates / brightest, SAME).tobytes()
+        key = key, skies.weights, self.cube.key if skies.vary else b""
         with tasks.cancel.locked(self._lock):
             lattices = self.density.lattices(conditions.sigma_hat, tasks)
-            if self._depths is None:
+            shared = self._shared
+            if shared.depths is None:
                 levels = [self.density.level(m) for m in (0, 1)]
                 lattice = direction_depths(self.coarse, tasks.cancel)
-                self._depths = OpenDepths(levels, lattice)
-            if self._environment is None or self._environment[0] != key:
+                shared.depths = OpenDepths(levels, lattice)
+            if self._environment is None or self._environment.key != key:
+                # Released before another is solved for.
                 self._environment = None
+                self._environment = shared.environments.get(key)
+            if self._environment is None:
                 solved = solve_environment(self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel)
                 if skies.vary:
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
-                self._environment = key, solved
-            depths, (light, absorbed) = self._depths, self._environment[1]
+                self._environment = shared.environments[key] = _SolvedEnvironment(key, solved)
+            depths, (light, absorbed) = shared.depths, self._environment.lattices
         lookup = FieldLookup(self.network.points, lattices, conditions.light.direction)
         return PreparedEnvironment(
             network=network,
@@ -152,8 +227,8 @@ class RayPredictor(Predictor):
             depths=depths,
             light=light,
             absorbed=absorbed,
-            radiance=direction_radiance(skies.image).astype(np.float32),
-            blurred=blurred(skies.image, blurs(self.anisotropy)),
+            radiance=skies.radiance,
+            blurred=skies.blurred(blurs(self.anisotropy)),
             sigma_hat=conditions.sigma_hat,
             thickness=thickness,
             anisotropy=self.anisotropy,
@@ -196,9 +271,9 @@ class RayPredictor(Predictor):
         """The albedo of a volume in which it varies, and its `CoarseAlbedo.places` in a light. Raises Cancelled."""
         cancel, key = tasks.cancel, conditions.key
         with cancel.locked(self._lock):
-            if self._albedo is None:
-                self._albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel)
-            known = self._albedo
+            if self._shared.albedo is None:
+                self._shared.albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel)
+            known = self._shared.albedo
             if key not in self._places:
                 if len(self._places) >= MAX_LATTICES:
                     self._places.clear()
@@ -212,10 +287,8 @@ class RayPredictor(Predictor):
     def _solve(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
         """The transport of a light, solved once."""
         key, light = conditions.key, conditions.light
-        solved = self._solved.get(key)
+        solved = self._solved.get(key) or self._shared.solved.get(key)
         if solved is None:
-            if len(self._solved) >= MAX_LATTICES:
-                self._solved.clear()
             if conditions.albedo is None:
                 solver = self._solver(conditions)
                 cells = solver.solve(light.source(CELLS), cancel)
@@ -228,15 +301,20 @@ class RayPredictor(Predictor):
             scale = light.scale(cells[0])
             cells /= np.float32(scale)
             lattice = fluence_lattice if conditions.albedo is None else moment_lattice
-            solved = self._solved[key] = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
+            solved = _Solved(lattice(cells, solver.boundaries), scale, conditions.albedo is None)
+            self._shared.solved[key] = solved
+        if key not in self._solved:
+            if len(self._solved) >= MAX_LATTICES:
+                self._solved.clear()
+            self._solved[key] = solved
         return solved
 
     def _solver(self, conditions: LitConditions) -> DiscreteOrdinates:
         """Solver of the transport; all lights of a render share their optical thickness and occluders."""
-        key = conditions.sigma_hat, conditions.occluders
-        if self._transport is None or self._transport[0] != key:
-            self._transport = key, self._new_solver(conditions)
-        return self._transport[1]
+        key, shared = (alike(conditions.sigma_hat), conditions.surfaces_key), self._shared
+        if shared.transport is None or shared.transport[0] != key:
+            shared.transport = key, self._new_solver(conditions)
+        return shared.transport[1]
 
     def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
         """Solver of the transport without surfaces, on cells twice as large."""

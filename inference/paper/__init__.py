@@ -12,7 +12,7 @@ from .lattice_predictor import LatticePredictor
 from .rpnn_lattice import POINTS, SunLattice
 from .stencil_predictor import StencilPredictor
 
-# Relative errors (docs/fidelity.md).
+# Relative errors (docs/trust/accuracy.md).
 DEVIATIONS = {"mrpnn-narrow": 0.17, "mrpnn-paper": 0.18, "mrpnn-wide": 0.18, "rpnn": 0.12}
 # Bytes of the transmittance of one sun.
 SUN_BYTES = 8 * LEVEL0_CELLS**3

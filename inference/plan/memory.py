@@ -3,6 +3,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..numerics.small_matmul import inverse
 from ..scene.description import Sun, Volume
 from ..scene.lamps import Lamp
@@ -12,9 +14,11 @@ from .sun_columns import column_bytes
 
 # Columns and slices, along an edge, of the optical depths towards a lamp, at most.
 LAMP_EDGE = 384
-# Bytes of the lookup lattices and the coarse transport of one volume, whatever its resolution.
+# Bytes of the lookup lattices and the coarse transport of the first volume, whatever its resolution.
 FIELD_BYTES = 42 * LEVEL0_CELLS**3
-# Bytes of the lattices of environments' light in one group of volumes, while they are solved for.
+# Bytes of what every further volume keeps of these, and of each light in it. Instances share them.
+FURTHER_BYTES, LIGHT_BYTES = 8 * LEVEL0_CELLS**3, LEVEL0_CELLS**3
+# Bytes of the lattices of environments' light in one volume, while they are solved for.
 ENVIRONMENT_BYTES = 8 * LEVEL0_CELLS**3
 # Bytes of those of each sky that the environments have in places, until these are joined.
 SKY_BYTES = 3 * LEVEL0_CELLS**3
@@ -34,17 +38,51 @@ IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
 RAY_FEATURE_BYTES = 2 * 4 * 7
 
 
-def grid_bytes(volume: Volume, emits: bool, suns: Sequence[Sun]) -> int:
-    """Bytes of a volume's grid and of its optical depths towards the suns. emits: whether the volume emits light."""
+def grids_bytes(volumes: Sequence[tuple[Volume, bool]], suns: Sequence[Sun]) -> int:
+    """Bytes of the grids of volumes and of their optical depths towards the suns.
+
+    volumes: each with whether it emits light. Instances share their grids, and their depths where suns shine along the
+    same direction in their voxels.
+    """
+    grids = {volume.voxels_key: _voxel_bytes(volume, emits) for volume, emits in volumes}
+    depths: dict[tuple, int] = {}
+    for volume, _ in volumes:
+        index_from_world = inverse(volume.world_from_index[:3, :3])
+        for direction in [index_from_world @ sun.direction for sun in suns]:
+            key = volume.voxels_key, direction.tobytes()
+            if key not in depths:
+                depths[key] = _depth_bytes(volume, direction)
+    return sum(grids.values()) + sum(depths.values())
+
+
+def _voxel_bytes(volume: Volume, emits: bool) -> int:
+    """Bytes of a volume's grid."""
     if not isinstance(volume.density, SparseGrid):
-        voxel = VOXEL_BYTES + VOXEL_SUN_BYTES * max(len(suns), 1) + VOXEL_EMISSION_BYTES * emits
-        voxel += VOXEL_ALBEDO_BYTES * len(volume.scattering or ())
+        voxel = VOXEL_BYTES + VOXEL_EMISSION_BYTES * emits + VOXEL_ALBEDO_BYTES * len(volume.scattering or ())
         return volume.density.size * refinement(volume.density.shape) ** 3 * voxel
-    index_from_world = inverse(volume.world_from_index[:3, :3])
-    depths = sum(column_bytes(volume.density, index_from_world @ sun.direction) for sun in suns)
     # One row of blocks as an array, and the cells that rays skip.
     blocks = volume.density.table.shape
-    return depths + SLAB_BYTES * blocks[1] * blocks[2] + CELLS_BYTES * volume.density.table.size
+    return SLAB_BYTES * blocks[1] * blocks[2] + CELLS_BYTES * volume.density.table.size
+
+
+def _depth_bytes(volume: Volume, direction: np.ndarray) -> int:
+    """Bytes of a volume's optical depths towards a sun; direction: (3,), in voxels per world unit."""
+    if isinstance(volume.density, SparseGrid):
+        return column_bytes(volume.density, direction)
+    return volume.density.size * refinement(volume.density.shape) ** 3 * VOXEL_SUN_BYTES
+
+
+def field_bytes(groups: Sequence[Sequence[Volume]], lights: int, from_everywhere: bool) -> int:
+    """Bytes of what networks read in groups of volumes; lights: how many there are besides light from everywhere."""
+    shapes = {tuple(volume.voxels_key for volume in group) if len(group) == 1 else id(group) for group in groups}
+    # Groups of several volumes are not compared.
+    places = {
+        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()) if len(group) == 1 else id(group)
+        for group in groups
+    }
+    environments = from_everywhere * ENVIRONMENT_BYTES * len(shapes)
+    further = max(len(shapes) - 1, 0) * FURTHER_BYTES + max(len(places) - 1, 0) * LIGHT_BYTES * max(lights, 1)
+    return FIELD_BYTES + environments + further
 
 
 def lamp_bytes(volume: Volume, lamps: list[Lamp]) -> int:

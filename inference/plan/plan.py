@@ -34,17 +34,16 @@ from .lights import (
     without_lamps,
 )
 from .memory import (
-    ENVIRONMENT_BYTES,
-    FIELD_BYTES,
     IMAGE_BYTES,
     MERGED_BYTES,
     SKY_BYTES,
-    grid_bytes,
+    field_bytes,
+    grids_bytes,
     lamp_bytes,
     ray_bytes,
 )
 from .overlap import overlapping
-from .precision import in_range
+from .precision import Rescaled, in_range
 from .resolution import BAND
 
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
@@ -115,13 +114,14 @@ class Plan(SceneLights):
         """Volume and Medium of each volume in a group."""
         return [self.volumes[v] for v in self.groups[group]]
 
-    def linking(self, lights: Sequence[Sun | Lamp]) -> np.ndarray:
-        """Whether lights light each volume, 0 or 1: float64 (V, L)."""
-        return linking(lights, [volume.name for volume, _ in self.volumes])
+    def linking(self, lights: Sequence[Sun | Lamp], volumes: Sequence[int] | None = None) -> np.ndarray:
+        """Whether lights light each of some volumes, by number, or of all: 0 or 1, float64 (V, L)."""
+        numbers = range(len(self.volumes)) if volumes is None else volumes
+        return linking(lights, [self.volumes[v][0].name for v in numbers])
 
     def lights_group(self, light: Sun | Lamp, group: int) -> bool:
         """Whether a light lights any volume of a group."""
-        return bool(self.linking([light])[self.groups[group]].any())
+        return bool(self.linking([light], self.groups[group]).any())
 
     def linking_warnings(self) -> list[str]:
         """Names lights that are linked to a part of volumes that overlap."""
@@ -131,7 +131,7 @@ class Plan(SceneLights):
             "as if it lit all of them"
             for light in lights
             for g, members in enumerate(self.groups)
-            if len(set(self.linking([light])[members, 0])) > 1
+            if len(members) > 1 and len(set(self.linking([light], members)[:, 0])) > 1
         ]
 
     def group_name(self, group: int) -> str:
@@ -196,7 +196,7 @@ def emits(volume: Volume, medium: Medium) -> bool:
 
 def attenuates(volume: Volume, medium: Medium) -> bool:
     """Whether a volume absorbs or scatters light."""
-    return bool(np.any(medium.sigma_t > 0.0) and volume.density.max() > 0.0)
+    return bool(np.any(medium.sigma_t > 0.0) and volume.peak > 0.0)
 
 
 def make_tiles(window: tuple[int, int, int, int], bands: int) -> list[tuple[int, int, int, int]]:
@@ -243,14 +243,15 @@ def sort_scene(
         raise SceneError("there is no volume to render")
     planned: list[str] = []
     left_out: list[str] = []
-    volumes = [in_range(volume, medium) for volume, medium in volumes]
+    known: Rescaled = {}
+    volumes = [in_range(volume, medium, known) for volume, medium in volumes]
     rendered = [pair for pair in volumes if attenuates(*pair) or emits(*pair)]
     for volume, medium in volumes:
         if emits(volume, medium):
             planned.append(f"{volume.name}: emission")
         elif not np.any(medium.sigma_t > 0.0):
             left_out.append(f"{volume.name}: its extinction is 0")
-        elif not volume.density.max() > 0.0:
+        elif not volume.peak > 0.0:
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     names = [volume.name for volume, _ in rendered]
     names += [surface.name for surface in surfaces if surface.reflectance.any()]
@@ -340,9 +341,10 @@ def plan_tiles(
     Raises SceneError if the memory limit is too small.
     """
     rendered = scene.volumes
-    memory = FIELD_BYTES + sum(grid_bytes(volume, emits(volume, medium), suns) for volume, medium in rendered)
+    memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns)
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
-    memory += lights.from_everywhere * len(scene.groups) * ENVIRONMENT_BYTES
+    groups = [[rendered[v][0] for v in group] for group in scene.groups]
+    memory += field_bytes(groups, len(suns) + len(lights.lamps), lights.from_everywhere)
     # Light of surfaces is one more sky beside others.
     different = lights.skies + bool(lights.reflects and lights.environments)
     memory += different * SKY_BYTES if different > 1 else 0

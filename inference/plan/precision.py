@@ -2,6 +2,7 @@
 """Volumes and media within the range of single precision, for the same picture."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +20,15 @@ MIN_SIGMA_HAT, MAX_SIGMA_HAT = 1e-20, 1e12
 MAX_VOXELS = 2**31 - 1
 
 
-def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
+# Arrays of volumes and of varying albedos by their identity, and what became of them: volume, albedo, and the exponent
+# of the factor of density and inverse extinction.
+Rescaled = dict[tuple[int, ...], tuple[Volume, Any, int]]
+
+
+def in_range(volume: Volume, medium: Medium, known: Rescaled | None = None) -> tuple[Volume, Medium]:
     """The volume and medium rescaled into the range of single precision, for the same picture.
+
+    known: of other volumes of the scene, whose instances share what becomes of their voxels; it is added to.
 
     Raises SceneError for a grid with more voxels than 32 bits can count.
     """
@@ -32,21 +40,33 @@ def in_range(volume: Volume, medium: Medium) -> tuple[Volume, Medium]:
         voxels = float(np.prod([n + 3.0 for n in density.shape]))
     if voxels > MAX_VOXELS:
         raise SceneError(f"{volume.name}: its grid has more voxels than can be rendered; crop or resample it")
-    sigma_t, peak = medium.sigma_t, float(density.max())
-    volume, medium = _bound_albedo(volume, medium)
-    density = volume.density
+    known = {} if known is None else known
+    key = *volume.voxels_key, *(id(grid) for grid in medium.albedo if medium.varies)
+    if key not in known:
+        known[key] = _rescaled(volume, medium)
+    like, albedo, exponent = known[key]
+    if like.voxels_key != volume.voxels_key:
+        volume = like.instance(volume.world_from_index, volume.name)
+    if medium.varies:
+        medium = replace(medium, albedo=albedo)
+    peak = volume.peak
     if peak == 0.0:
         return volume, medium
-    if not DENSITY_RANGE[0] < peak < DENSITY_RANGE[1]:
-        exponent = int(np.frexp(peak)[1])
-        sigma_t, peak = np.ldexp(sigma_t, exponent), np.ldexp(peak, -exponent)
-        density = _scaled(density, -exponent)
-        scattering = volume.scattering and tuple(_scaled(grid, -exponent) for grid in volume.scattering)
-        volume = replace(volume, density=density, scattering=scattering)
-    size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * density.shape).max()
+    sigma_t = np.ldexp(medium.sigma_t, exponent) if exponent else medium.sigma_t
+    size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * volume.density.shape).max()
     sigma_t = np.minimum(sigma_t, MAX_SIGMA_HAT / (peak * size))
     sigma_t = np.where(sigma_t * peak * size < MIN_SIGMA_HAT, 0.0, sigma_t)
     return volume, Medium(sigma_t, medium.albedo, medium.anisotropy, medium.emission, medium.phase)
+
+
+def _rescaled(volume: Volume, medium: Medium) -> tuple[Volume, Any, int]:
+    """As of Rescaled."""
+    volume, medium = _bound_albedo(volume, medium)
+    if volume.peak == 0.0 or DENSITY_RANGE[0] < volume.peak < DENSITY_RANGE[1]:
+        return volume, medium.albedo, 0
+    exponent = int(np.frexp(volume.peak)[1])
+    scattering = volume.scattering and tuple(_scaled(grid, -exponent) for grid in volume.scattering)
+    return replace(volume, density=_scaled(volume.density, -exponent), scattering=scattering), medium.albedo, exponent
 
 
 def _scaled(grid: np.ndarray | SparseGrid, exponent: int) -> np.ndarray | SparseGrid:

@@ -5,6 +5,7 @@ Lengths are in world units, extinction in 1/world unit, irradiance in W/m^2, rad
 unless stated otherwise.
 """
 
+import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,6 +62,10 @@ class Volume:
     scattering: density times albedo of a medium whose albedo varies, interpolated like the density: one grid for all
         colour channels or three, of the density's kind; None for a uniform albedo. Set by `plan.plan.in_range`.
 
+    peak: largest density.
+
+    Volumes that hold the very same arrays are instances: what a render derives from their voxels is made once.
+
     Raises SceneError for an empty or non-finite grid, negative density, or a singular transform.
     """
 
@@ -70,6 +75,7 @@ class Volume:
     emission: None | np.ndarray | tuple[SparseGrid, ...] = None
     emission_power: int = 1
     scattering: None | tuple[Voxels, ...] = None
+    peak: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, SparseGrid):
@@ -81,6 +87,7 @@ class Volume:
             raise SceneError(f"{self.name}: density holds NaN or infinite values")
         if low < 0.0:
             raise SceneError(f"{self.name}: density holds negative values (lowest {low:g})")
+        self.peak = high
         self.world_from_index = affine_matrix(self.world_from_index, f"{self.name}: transform")
         if self.emission is not None:
             self._check_emission()
@@ -96,6 +103,21 @@ class Volume:
             raise SceneError(f"{self.name}: emission must have the density's shape and three channels")
         if not all(np.isfinite(channel.min() + channel.max()) for channel in self.emission_channels()):
             raise SceneError(f"{self.name}: emission holds NaN or infinite values")
+
+    def instance(self, world_from_index: np.ndarray, name: str) -> "Volume":
+        """The same voxels, which are not checked again, at another place.
+
+        Raises SceneError for a singular transform.
+        """
+        found = copy.copy(self)
+        found.world_from_index, found.name = affine_matrix(world_from_index, f"{name}: transform"), name
+        return found
+
+    @property
+    def voxels_key(self) -> tuple[int, ...]:
+        """Equal for volumes that hold the very same arrays, as long as these live."""
+        emission = self.emission if isinstance(self.emission, tuple) else (self.emission,)
+        return self.emission_power, *(id(grid) for grid in (self.density, *emission, *(self.scattering or ())))
 
     def same_content(self, other: "Volume") -> bool:
         """Whether two volumes hold equal grids at the same position, whatever their names."""

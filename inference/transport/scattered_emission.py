@@ -140,8 +140,8 @@ class ScatteredEmission:
         if self.thickest < THICK:
             return []
         return [
-            f"{name}: the light that it emits and scatters is less accurate in a medium as dense as this, with an "
-            f"optical thickness of {self.thickest:.2g} in a {CELLS}th of its size"
+            f"{name}: the glow that it emits and scatters is approximate in a medium as dense as this; "
+            "a lower Density makes it more accurate"
         ]
 
     def scattered(self, c: int, positions: np.ndarray, directions: np.ndarray, anisotropy: float) -> np.ndarray:

@@ -134,7 +134,7 @@ def _interpolate(flat: np.ndarray, index: np.ndarray, n: int) -> np.ndarray:
 class ScatteredFluence:
     """Scattered light of each sun in one volume, for lookups along camera rays.
 
-    linear: (3, 3) and offset: (3,), indices from world positions. lights: `fluence_and_flux` of each sun, float16
+    linear: (3, 3) and offset: (3,), indices from world positions. lights: `fluence_and_flux` of each sun, float32
     (64, 64, 64, 4). anisotropy: G. scales: factor of each of them, or None for suns.
     """
 

@@ -8,7 +8,7 @@ import bpy
 
 from .baked_scene import chooses_ray_marching, set_cycles
 
-# Of the usual length of a step; error and bias grow little, see docs/baked-light.md.
+# Of the usual length of a step; error and bias grow little, see docs/use/baked-light.md.
 STEP_RATE = 4.0
 
 

@@ -85,10 +85,10 @@ class VolumeReader:
             scale = density_scale(shown.data.render.space, shown.matrix)
         pairs = [
             (
-                Volume(part.density, shown.matrix @ object_from_index, shown.name, part.emission, part.emission_power),
+                part.at(shown.matrix @ object_from_index, shown.name),
                 Medium(part.sigma_t * scale, part.albedo, part.anisotropy, scale, part.phase),
             )
-            for part in shaded.parts()
+            for part in shaded.parts
         ]
         return pairs, warnings + [f"{where}: {note}" for note in shaded.notes]
 

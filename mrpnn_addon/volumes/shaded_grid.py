@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A volume shader evaluated at every voxel: one density grid with uniform extinction, its albedo, and emission."""
 
+import functools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
 
-from ...inference.scene import MAX_ANISOTROPY
+from ...inference.scene import MAX_ANISOTROPY, Volume
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
 from ..nodes.material import EmptyMaterial, MissingGrids, Shading, VolumeMaterial
@@ -42,15 +43,26 @@ class ShadedGrid:
     emission_power: int = 1
     extinction: None | tuple[np.ndarray | SparseGrid, ...] = None
     blackbody: None | np.ndarray | tuple[SparseGrid, ...] = None
+    _volume: Volume | None = field(default=None, init=False, repr=False, compare=False)
 
+    def at(self, world_from_index: np.ndarray, name: str) -> Volume:
+        """A Volume of these voxels, which are checked once for all instances. Raises SceneError as Volume."""
+        if self._volume is None:
+            self._volume = Volume(self.density, world_from_index, name, self.emission, self.emission_power)
+        return self._volume.instance(world_from_index, name)
+
+    @property
     def parts(self) -> list["ShadedGrid"]:
         """Itself, or where the colour of the extinction varies, what each colour channel attenuates and emits; and the
-        light of a blackbody that shines beside other emission.
+        light of a blackbody that shines beside other emission. The same objects each time.
         """
+        return [self] if self.blackbody is None and self.extinction is None else self._parts
+
+    @functools.cached_property
+    def _parts(self) -> list["ShadedGrid"]:
         if self.blackbody is not None:
-            return [*replace(self, blackbody=None).parts(), self._glow()]
-        if self.extinction is None:
-            return [self]
+            return [*replace(self, blackbody=None).parts, self._glow()]
+        assert self.extinction is not None
         found = []
         for c, (density, albedo) in enumerate(zip(self.extinction, self.albedo)):
             emission = None if self.emission is None else _one_channel(self.emission, c)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The benchmark of error against time: its cases, and its page for planted figures."""
+"""The benchmark of error against time: its cases, and its tables for planted figures."""
 
 from dataclasses import asdict
 
@@ -9,7 +9,7 @@ pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
 from benchmarks.error_vs_time.cases import Case, cases
-from benchmarks.error_vs_time.page import csv_table, filtered, headline, page, scenes, times_as_long
+from benchmarks.error_vs_time.page import csv_table, filtered, headline, scenes, tables, times_as_long
 from benchmarks.error_vs_time.plots import save_headline, save_ladders
 
 
@@ -122,8 +122,7 @@ def test_ratios_are_told_against_the_quickest_way_with_the_others_beside_it(tmp_
     assert means["Cycles 5.2, null scattering"] == pytest.approx(2505, rel=0.01)
     told = [line.split(" | ")[1] for line in scenes(several, "mrpnn").splitlines() if line.startswith("| cloud")]
     assert told == ["Cycles 4.5", "Cycles 5.2", "Cycles 5.2, null scattering"]
-    found = page(several, 27)
-    assert "2 of 27 scenes measured" in found and "by Cycles 4.5 and Cycles 5.2 in a process" in found
+    assert list(tables(several)) == ["time-headline", "time-scenes", "time-denoised", "time-growth"]
     save_ladders(several, tmp_path / "ladders.png")
     assert (tmp_path / "ladders.png").exists()
 
@@ -135,10 +134,10 @@ def test_the_headline_shows_scenes_timed_at_both_sizes(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["one.png"]
 
 
-def test_the_page_shows_what_is_measured_and_what_is_not():
-    found = page([result(), result(volume="smoke"), result(growth="suns", suns=2)], 27)
-    assert "3 of 27 scenes measured" in found and "smoke, side, G 0.857, density 100" in found
-    assert "| suns | 2 |" in found and "| albedo |" not in found
+def test_tables_show_what_is_measured_and_what_is_not():
+    found = tables([result(), result(volume="smoke"), result(growth="suns", suns=2)])
+    assert "smoke, side, G 0.857, density 100" in found["time-scenes"]
+    assert "| suns | 2 |" in found["time-growth"] and "| albedo |" not in found["time-growth"]
     blurred = result(error=0.0)
     blurred["verdict"] = {"good": False, "more": None, "seconds": None}
     row = scenes([blurred], "mrpnn").splitlines()[-1]

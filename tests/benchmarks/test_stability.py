@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick cases of the stability benchmark, each within its bound; docs/stability.md lists all of them."""
+"""The quick cases of the stability benchmark, each within its bound; docs/trust/stability.md lists all of them."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,9 @@ def test_violated_bounds_and_missing_results_are_reported():
 
 
 def test_the_published_table_lists_these_cases():
-    published = {(row["group"], row["case"], row["quantity"]): row for row in pages.read_csv(DOCS / "stability.csv")}
+    published = {
+        (row["group"], row["case"], row["quantity"]): row for row in pages.read_csv(DOCS / "tables" / "stability.csv")
+    }
     wanted = {(case.group, case.name, quantity): bound for case in CASES for quantity, bound in case.bounds.items()}
     assert set(published) == set(wanted)
     for key, bound in wanted.items():

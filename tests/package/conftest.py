@@ -61,7 +61,7 @@ def program(request, zip_of, tmp_path_factory):
     """
     folder = tmp_path_factory.mktemp("program")
     shutil.copy(zip_of(request.param), folder / "mrpnn.zip")
-    shutil.copy(ROOT / "docs" / "farm" / "mrpnn_script.py", folder)
+    shutil.copy(ROOT / "docs" / "use" / "farm" / "mrpnn_script.py", folder)
     # A matrix library's threads that wait for each other take long on a busy machine.
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "resources"), "OPENBLAS_NUM_THREADS": "1"}
 

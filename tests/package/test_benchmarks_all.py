@@ -5,7 +5,7 @@ import json
 import re
 import sys
 
-from benchmarks.all import COMMANDS, COMMANDS_5, enter, run, shipped, stamps
+from benchmarks.all import COMMANDS, COMMANDS_5, TABLES, enter, run, shipped, stamps
 from tests.support.paths import ROOT
 
 
@@ -13,10 +13,11 @@ def test_every_table_with_a_stamp_is_made_by_one_of_the_commands():
     programs = {command.split()[0] for command in COMMANDS + COMMANDS_5}
     found = list(stamps())
     assert [stamp for stamp in found if stamp.program not in programs] == []
-    # Each page that has figures is among them.
-    assert {"README.md", "scenes.md", "fidelity.md", "performance.md", "stability.md", "film.md"} <= {
-        stamp.page.name for stamp in found
-    }
+    # Each table that a program writes is among them.
+    stamped = {stamp.page.name for stamp in found}
+    assert {"speed.md", "film.md"} <= stamped
+    unstamped = {path.name for path in (ROOT / "docs" / "tables").glob("*.csv")} - stamped
+    assert unstamped == {"convergence.csv"}
     assert all(len(commit) >= 7 for stamp in found for commit in stamp.commits)
 
 
@@ -27,9 +28,10 @@ def test_every_command_is_a_program_of_the_repository():
 
 
 def test_tables_between_a_commands_marks_are_made_by_that_command():
-    marks = [mark for page in (ROOT / "docs").glob("*.md") for mark in re.findall("<!-- (.*) -->", page.read_text())]
+    marks = [mark for page in (ROOT / "docs").rglob("*.md") for mark in re.findall("<!-- (.*) -->", page.read_text())]
     named = {mark for mark in marks if mark.startswith(("benchmarks.", "training."))}
-    assert named and named <= set(COMMANDS + COMMANDS_5)
+    assert named and named | set(TABLES) <= set(COMMANDS + COMMANDS_5)
+    assert all((ROOT / "docs" / "tables" / f"{name}.csv").exists() for name in TABLES.values())
 
 
 def test_a_printed_table_goes_between_its_commands_marks(tmp_path):
@@ -46,6 +48,14 @@ def test_a_printed_table_goes_between_its_commands_marks(tmp_path):
     assert "kept" in page.read_text()
     enter("a.b", "| z |", tmp_path)
     assert page.read_text().count("`python -m a.b`.\n<!-- end -->") == 1 and "kept" not in page.read_text()
+
+
+def test_a_printed_table_goes_to_its_file(tmp_path):
+    command, name = next(iter(TABLES.items()))
+    (tmp_path / "tables").mkdir()
+    enter(command, "noise\n| x | y |\n|---|---|\n| 1, 2 | 3 |\n", tmp_path)
+    said, *rows = (tmp_path / "tables" / f"{name}.csv").read_text().splitlines()
+    assert said.endswith(f"`python -m {command}`.") and rows == ["x,y", '"1, 2",3']
 
 
 def test_what_is_done_for_this_code_and_these_weights_is_skipped(tmp_path, capsys):

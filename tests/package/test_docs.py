@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The docs name every setting, option and button as Blender shows it."""
+"""The docs name every setting, option and button as Blender shows it, in pages and sentences that are short."""
 
 import argparse
+import ast
 import re
 
 import pytest
@@ -17,15 +18,118 @@ def page(name):
     return " ".join((ROOT / name).read_text().split())
 
 
+def pages_of(part):
+    return " ".join(page(path) for path in sorted((ROOT / "docs" / part).glob("*.md")))
+
+
 def named(properties):
     """UI names of a class's own properties."""
     keywords = [getattr(made, "keywords", {}) for made in properties.__annotations__.values()]
     return [named["name"] for named in keywords if "name" in named]
 
 
+# Words of a page of use or trust, of a sentence of README, docs/use and the interface, and of any other.
+PAGE_WORDS, SHORT, LONGEST = 900, 25, 35
+
+
+def prose(text):
+    """Paragraphs, headings and list items of a page, without code, tables, pictures and targets of links."""
+    text = re.sub(r"(?ms)^```.*?^```$|^\$\$.*?\$\$$|<!--.*?-->", "\n\n", text)
+    text = re.sub(r"(?m)^(?: {4,}(?![-*\d]).*|\s*\|.*)$", "", text)
+    text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", text)
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    text = re.sub(r"`[^`]*`|\$[^$\n]+\$", "code", text)
+    return [" ".join(part.split()) for part in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=#)|(?<=#)\n", text)]
+
+
+def words(text):
+    return [word for word in text.split() if re.search(r"\w", word)]
+
+
+def too_long(text, most):
+    """Sentences of more than so many words. A quoted message is one word."""
+    found = []
+    for paragraph in prose(text):
+        paragraph = re.sub(r'"[^"]*"|“[^”]*”', "quote", paragraph)
+        found += [part for part in re.split(r"(?<=[.:;?!])[)*\"]*\s", paragraph) if len(words(part)) > most]
+    return found
+
+
+def checked_pages():
+    """Pages with the number of words that a sentence may have."""
+    inner = [*(ROOT / "docs").rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
+    pages = {str(path.relative_to(ROOT)): LONGEST for path in inner}
+    return {
+        name: SHORT if name.startswith("docs/use/") else most for name, most in {"README.md": SHORT, **pages}.items()
+    }
+
+
+@pytest.mark.parametrize("name, most", checked_pages().items())
+def test_sentences_are_short(name, most):
+    assert too_long((ROOT / name).read_text(), most) == []
+
+
+@pytest.mark.parametrize("part", ["use", "trust"])
+def test_pages_are_short(part):
+    counts = {}
+    for path in (ROOT / "docs" / part).glob("*.md"):
+        text = re.sub(r"!\[[^\]]*\]\([^)]*\)|<!--.*?-->", "", path.read_text())
+        counts[path.name] = len(words(re.sub(r"\]\([^)]*\)", "]", text)))
+    assert counts and {name: count for name, count in counts.items() if count > PAGE_WORDS} == {}
+
+
+def test_sentences_of_the_interface_are_short(addon):
+    texts = {}
+    for cls in everything(addon):
+        texts[f"{cls.__name__}"] = getattr(cls, "bl_description", "") or (cls.__doc__ or "")
+        for name, made in getattr(cls, "__annotations__", {}).items():
+            keywords = getattr(made, "keywords", {})
+            texts[f"{cls.__name__}.{name}"] = keywords.get("description", "")
+            items = keywords.get("items", ())
+            for item in items if isinstance(items, (list, tuple)) else ():
+                texts[f"{cls.__name__}.{name}: {item[0]}"] = item[2]
+    assert len(texts) > 30
+    found = {name: too_long(text, SHORT) for name, text in texts.items() if isinstance(text, str)}
+    assert {name: sentences for name, sentences in found.items() if sentences} == {}
+
+
+@pytest.mark.parametrize("folder", ["inference", "mrpnn_addon", "operators", "panels"])
+def test_sentences_of_messages_are_short(folder):
+    found = {}
+    for path in (ROOT / folder).rglob("*.py"):
+        for line, text in literals(ast.parse(path.read_text())):
+            if sentences := too_long(text, SHORT):
+                found[f"{path.relative_to(ROOT)}:{line}"] = sentences
+    assert found == {}
+
+
+def literals(tree):
+    """Line and text of each string of a module but docstrings; a value in an f-string is one word."""
+    nodes = list(ast.walk(tree))
+    skipped = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    skipped |= {id(value) for node in nodes if isinstance(node, ast.JoinedStr) for value in node.values}
+    for node in nodes:
+        if isinstance(node, ast.JoinedStr):
+            parts = [part.value if isinstance(part, ast.Constant) else "value" for part in node.values]
+            yield node.lineno, "".join(parts)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in skipped:
+            yield node.lineno, node.value
+
+
+def everything(addon):
+    """Classes with texts that Blender shows: operators and groups of properties."""
+    own = addon.mrpnn_addon.settings
+    return [
+        *addon.operators.CLASSES,
+        own.properties.MRPNN_PG_scene,
+        own.view_layer.MRPNN_PG_view_layer,
+        own.preferences.PreferenceProperties,
+    ]
+
+
 def test_every_setting_has_a_row(addon):
     own = addon.mrpnn_addon
-    settings, comparison = page("docs/settings.md"), page("docs/comparison.md")
+    settings, comparison = pages_of("use"), page("docs/use/comparison.md")
     wanted = [
         *named(own.settings.properties.MRPNN_PG_scene),
         *named(own.settings.view_layer.MRPNN_PG_view_layer),
@@ -42,7 +146,7 @@ def test_every_setting_has_a_row(addon):
 
 
 def test_every_button_and_panel_is_named(addon):
-    pages = "".join(map(page, ("README.md", "docs/settings.md", "docs/install.md", "docs/baked-light.md")))
+    pages = page("README.md") + pages_of("use")
     buttons = [tool.bl_label for tool in addon.operators.CLASSES]
     panels = [
         panel.bl_label for panel in addon.panels.CLASSES if hasattr(panel, "bl_label") and panel.bl_label != "Data"
@@ -51,7 +155,7 @@ def test_every_button_and_panel_is_named(addon):
 
 
 def test_exactly_the_commands_options_are_listed(addon):
-    pages = page("docs/command-line.md") + page("docs/comparison.md")
+    pages = page("docs/use/command-line.md") + page("docs/use/comparison.md")
     parser = addon.operators.command._parser()
     (actions,) = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     options = {
@@ -62,7 +166,7 @@ def test_exactly_the_commands_options_are_listed(addon):
         for name in known.option_strings
         if name.startswith("--")
     } - {"--help"}
-    listed = set(re.findall(r"`(--[a-z-]+)", page("docs/command-line.md"))) - {"--command"}
+    listed = set(re.findall(r"`(--[a-z-]+)", page("docs/use/command-line.md"))) - {"--command"}
     assert options and [name for name in options if f"`{name}" not in pages] == []
     assert listed <= options
 
@@ -84,6 +188,6 @@ def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
     )
     # Literals that go on in the next line are one.
     code = re.sub(r'"\s*\n?\s*f?"', "", code)
-    quoted = re.findall(r'"([^"]+)"', " ".join(re.findall(r"\*\*(.+?)\*\*", page("docs/troubleshooting.md"))))
+    quoted = re.findall(r'"([^"]+)"', " ".join(re.findall(r"\*\*(.+?)\*\*", page("docs/use/troubleshooting.md"))))
     parts = [part.strip() for sentence in quoted for part in sentence.split("…") if part.strip()]
     assert len(parts) > 8 and [part for part in parts if part not in code] == []

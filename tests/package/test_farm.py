@@ -20,7 +20,7 @@ from tests.support.programs import MARKS
 
 pytestmark = MARKS
 
-FARM = ROOT / "docs" / "farm"
+FARM = ROOT / "docs" / "use" / "farm"
 
 # What Flamenco's Manager gives a job type, which its Worker then runs command by command. Frames are cut into
 # chunks as it writes them: 1-3, two as 4,5, one as 6.
@@ -44,7 +44,7 @@ MANAGER = """
 def compiled_tasks(settings):
     """The tasks that the job type compiles from a job's settings; missing ones take its defaults."""
     engine = py_mini_racer.MiniRacer()
-    engine.eval(textwrap.dedent(MANAGER) + (ROOT / "docs" / "farm" / "mrpnn_render.js").read_text())
+    engine.eval(textwrap.dedent(MANAGER) + (ROOT / "docs" / "use" / "farm" / "mrpnn_render.js").read_text())
     found = json.loads(engine.eval("JSON.stringify(JOB_TYPE.settings)"))
     assert set(settings) <= {setting["key"] for setting in found}
     defaults = {setting["key"]: setting["default"] for setting in found if "default" in setting}

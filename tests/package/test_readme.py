@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The README's figures are those of the tables. Its example is run in tests/package/test_environments.py."""
+"""Figures of README, and of the pages that it names, are those of the tables.
+
+Its example is run in tests/package/test_environments.py.
+"""
 
 import re
 import statistics
@@ -14,11 +17,11 @@ def page(name):
 
 
 def test_fidelity_is_that_of_the_table():
-    ours = [row for row in read_csv(ROOT / "docs" / "fidelity.csv") if row["system"] == "mrpnn"]
+    ours = [row for row in read_csv(ROOT / "docs" / "tables" / "fidelity.csv") if row["system"] == "mrpnn"]
     published = published_network()
     assert len(ours) == len(published) == 12
     stated = re.search(
-        r"RMSE of ([\d.]+) and a bias of (\S+) % over (\d+) views .{0,120} authors has ([\d.]+) and (\S+) %",
+        r"RMSE of ([\d.]+) and a bias of (\S+) % over (\d+) views .{0,120} authors released has ([\d.]+) and (\S+) %",
         page("README.md"),
     ).groups()
     assert stated == (
@@ -31,40 +34,40 @@ def test_fidelity_is_that_of_the_table():
 
 
 def test_ratios_at_real_sizes_are_those_of_the_table():
-    table = (ROOT / "docs" / "error-vs-time.md").read_text()
-    rows = re.findall(
-        r"^\| the quickest of these(, denoised)? \| first frame \| (?:≥ )?([\d. ]+) \(([\d. ]+)–", table, re.MULTILINE
+    ratios = {
+        row["against"]: row["geometric mean of times as long"]
+        for row in read_csv(ROOT / "docs" / "tables" / "real-sizes-1.csv")
+        if row["the layer's"] == "first frame"
+    }
+    (plain, plain_low), (denoised, denoised_low) = (
+        re.match(r"(?:≥ )?([\d. ]+) \(([\d. ]+)–", ratios[against]).groups()
+        for against in ("the quickest of these", "the quickest of these, denoised")
     )
-    (_, plain, plain_low), (_, denoised, denoised_low) = rows
-    text = page("README.md")
-    assert f"takes {plain} times as long to the layer's error, and at least {denoised} times denoised" in text
-    assert f"intervals reach down to {plain_low} and {denoised_low}" in text
+    stated = f"takes {plain} times as long to the layer's error, and at least {denoised} times denoised"
+    assert stated in page("README.md")
+    assert f"intervals reach down to {plain_low} and {denoised_low}" in page("docs/trust/error-vs-time.md")
 
 
 def test_ratios_at_64_pixels_are_those_of_the_scenes_that_a_clone_can_measure():
     """Geometric means of the page's scenes, without the plume, which a clone lacks, and where noise hides the error; of
     the ways of Cycles the quickest in each.
     """
-    rows = re.findall(
-        r"^\| (?!plume)([^|]+) \| Cycles [^|]+ \| ([\d.]+) \([^|]+\|[^|]+\|[^|]+\| [^|]+: ([\d.e+]+) / ([\d.e+]+) × \|",
-        (ROOT / "docs" / "error-vs-time.md").read_text(),
-        re.MULTILINE,
-    )
     known: dict[str, list[tuple[float, float]]] = {}
-    for scene, error, first, frame in rows:
-        if float(error) > 0.0:
-            known.setdefault(scene, []).append((float(first), float(frame)))
+    for row in read_csv(ROOT / "docs" / "tables" / "time-scenes.csv"):
+        ratios = re.search(r": ([\d.e+]+) / ([\d.e+]+) ×", row["to this error: times first / frame"])
+        error = re.match(r"[\d.]+", row["mrpnn: error"])
+        if not row["scene"].startswith("plume") and ratios and error and float(error[0]) > 0.0:
+            known.setdefault(row["scene"], []).append(tuple(map(float, ratios.groups())))
     quickest = [tuple(map(min, zip(*ways))) for ways in known.values()]
     first, frame = (f"{float(f'{statistics.geometric_mean(one):.3g}'):.0f}" for one in zip(*quickest))
-    stated = re.search(
-        r"takes ([\d ]+) times as long for a first image and ([\d ]+) times for a further", page("README.md")
-    )
+    text = page("docs/trust/error-vs-time.md")
+    stated = re.search(r"takes ([\d ]+) times as long for a first image and ([\d ]+) times for a further", text)
     assert [value.replace(" ", "") for value in stated.groups()] == [first, frame]
-    assert f"geometric means of {len(known)} scenes" in page("README.md")
+    assert f"geometric means of {len(known)} scenes" in text
 
 
 def test_figures_of_artists_settings_are_those_of_the_table():
-    rows = read_csv(ROOT / "docs" / "cycles-settings.csv")
+    rows = read_csv(ROOT / "docs" / "tables" / "cycles-settings.csv")
     settings = "Cycles, 12 volume bounces, clamped at 10, denoised"
     cycles = [row for row in rows if row["settings"] == settings and row["samples"] == "128"]
     layer = [row for row in rows if row["settings"] == "MRPNN layer, first frame"]
@@ -73,18 +76,19 @@ def test_figures_of_artists_settings_are_those_of_the_table():
         found = sorted(factor * float(row[key]) for row in among)
         return f"{found[0]:.{digits}f} to {found[-1]:.{digits}f}"
 
-    text = page("README.md")
-    assert f"{span('bias', 0, -100.0)} % too dark" in text
+    text = page("docs/trust/cycles-settings.md")
+    for stated in (text, page("README.md")):
+        assert f"{span('bias', 0, -100.0)} % too dark" in stated
+        assert f"layer errs by {span('error', 2, among=layer)} after" in stated
     assert f"an error of {span('error', 2)} after {span('seconds', 0)} processor seconds" in text
-    assert f"the layer errs by {span('error', 2, among=layer)} after 1" in text
     assert max(float(row["seconds"]) for row in layer) < 1.5
 
 
 def test_demo_and_dense_smoke_are_those_of_the_table():
-    found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "readme.csv")}
+    found = {row["figure"]: row for row in read_csv(ROOT / "docs" / "tables" / "readme.csv")}
     value = {name: float(row["value"]) for name, row in found.items()}
     commit = {name: re.search("commit ([0-9a-f]+)", row["made_by"])[1] for name, row in found.items()}
-    text, smoke, cloud = page("README.md"), "smoke, processor seconds", "cloud, processor seconds"
+    text, smoke, cloud = page("docs/trust/speed.md"), "smoke, processor seconds", "cloud, processor seconds"
     assert f"{100 * value['covered']:.0f} % of them covered, takes {value[smoke]:.0f} processor seconds" in text
     assert f"(commit {commit[smoke]}, `python -m benchmarks.cost.imported_smoke`)" in text
     assert f"**The demo**: {value[cloud]:.1f} processor seconds" in text

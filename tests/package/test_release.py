@@ -21,7 +21,7 @@ NEW, DAY = "12.34.56", datetime.date(2030, 1, 2)
 def copy(tmp_path):
     """A folder with the files that a release changes."""
     for name in [*release.STATED, "CHANGELOG.md"]:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     return tmp_path
 
@@ -51,7 +51,7 @@ def test_the_changelog_gets_version_and_day(copy):
 
 
 def test_checksums_can_be_checked(tmp_path):
-    lines = release.checksums([ROOT / "LICENSE", ROOT / "docs" / "install.md"])
+    lines = release.checksums([ROOT / "LICENSE", ROOT / "docs" / "use" / "install.md"])
     (tmp_path / "SUMS").write_text(lines)
     subprocess.run(["sha256sum", "--check", "--quiet", tmp_path / "SUMS"], cwd=ROOT, check=True)
 

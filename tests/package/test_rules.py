@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rules of Blender's platform for extensions that the source shows; CONTRIBUTING.md lists all."""
+"""Rules of Blender's platform for extensions that the source shows; docs/contribute/publishing.md lists all."""
 
 import ast
 import re
@@ -72,7 +72,7 @@ def test_data_is_kept_where_blender_says():
 
 
 def test_threads_start_in_the_files_that_the_page_on_threads_names():
-    page = (ROOT / "docs" / "threads.md").read_text()
+    page = (ROOT / "docs" / "understand" / "threads.md").read_text()
     named = {path for path in SHIPPED if f"`{path.relative_to(ROOT).as_posix()}`" in page}
     starts = re.compile(r"\b(Thread|Timer|ThreadPoolExecutor|ThreadPool|start_new_thread)\(")
     # Workers are processes of their own.

@@ -52,12 +52,12 @@ def test_pre_commit_runs_the_versions_of_the_requirements():
 
 def test_the_version_is_that_of_the_manifest():
     version = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["version"]
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     zips = {found for page in pages for found in re.findall(r"mrpnn-(\d[\d.]*\d)-\w+\.zip", page.read_text())}
     assert zips == {version}
     (cited,) = re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert cited == version
     oldest = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["blender_version_min"].removesuffix(".0")
-    assert all(f"Blender {oldest} " in (ROOT / page).read_text() for page in ("README.md", "docs/install.md"))
+    assert all(f"Blender {oldest} " in (ROOT / page).read_text() for page in ("README.md", "docs/use/install.md"))
     # The newest entry of the changelog that has a number: of this version, or of the one before it.
     assert re.search(rf"^## (Unreleased|{re.escape(version)}\b)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)

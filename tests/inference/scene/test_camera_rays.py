@@ -77,7 +77,7 @@ def test_no_pixel_that_shows_density_is_skipped(seed):
         for place in random.random(100):
             position = origins + (enter + place * (leave - enter))[:, None] * directions
             seen |= (enter < leave) & (grid.sample_density(grid.index(position).T.astype(np.float32)) > 0.0)
-        shown = pixels_around(view, *grid.support).ravel()
+        shown = pixels_around(view, *grid.support()).ravel()
         assert not (seen & ~shown).any()
         met, skipped = met + seen.any(), skipped + ((enter < leave) & ~shown).any()
     assert met > 5 and skipped > 3
@@ -91,6 +91,6 @@ def test_pixels_are_those_around_filled_cells():
     view = camera((0.0, 0.0, 6.0), pixels=200, projection="orthographic", ortho_scale=1.2)
     grid = Grid(placed(np.logical_or(*balls).astype(np.float32)))
     seen = hits(view, grid)[0]
-    shown = pixels_around(view, *grid.support)
+    shown = pixels_around(view, *grid.support())
     assert shown.sum() < 0.85 * seen.sum()
     assert not shown[:, 100].any() and shown[:, :100].any() and shown[:, 100:].any()

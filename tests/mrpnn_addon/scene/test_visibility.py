@@ -106,6 +106,26 @@ def test_the_visibility_of_an_instancer_is_that_of_its_instances(addon, scene, t
     assert blender_scenes.render_cycles(scene, tmp_path, samples=4)[..., 3].max() > 0.3
 
 
+@pytest.mark.parametrize("how", ["collection", "vertices", "particles", "nodes", "linked"])
+def test_instances_arrive_as_one_array(addon, scene, tmp_path, how):
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene, ortho_scale=3.0)
+    fog, host = instanced(scene, "collection" if how == "linked" else how)
+    if how == "linked":
+        for x in (3.0, 6.0):
+            blender_scenes.add_object(scene, "Twin", fog.data).location.x = x
+    elif how == "particles":
+        host.particle_systems[0].settings.count = 3
+    elif how != "vertices":
+        twin = host.copy()
+        twin.location.x = 3.0
+        scene.collection.objects.link(twin)
+    volumes = [volume for volume, _ in read(addon).volumes]
+    assert len(volumes) == (2 if how in ("collection", "nodes") else 3)
+    assert len({volume.world_from_index.tobytes() for volume in volumes}) == len(volumes)
+    assert all(volume.density is volumes[0].density for volume in volumes)
+
+
 @pytest.mark.parametrize("light", ["lamp", "mesh"])
 def test_an_instancer_that_volumes_do_not_see_gives_them_no_light(addon, scene, tmp_path, light):
     blender_scenes.cloud_scene(scene, tmp_path)

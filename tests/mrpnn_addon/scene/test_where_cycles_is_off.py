@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cases of docs/troubleshooting.md in which Cycles departs from the absorption law and this engine does not."""
+"""The cases of docs/trust/scenes.md in which Cycles departs from the absorption law and this engine does not."""
 
 import numpy as np
 import pytest
