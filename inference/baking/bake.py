@@ -10,7 +10,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
 from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
-from ..points.group_radiance import GroupRadiance
+from ..points.group_radiance import GroupRadiance, spans
 from ..render import prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
@@ -21,16 +21,21 @@ from ..scene.camera import Camera
 from ..scene.description import Medium, Surface, Volume
 from ..scene.light import Light
 from ..scene.settings import Settings
-from .directional_factor import DETAIL_SHARPNESS, BakedView
-from .directions import DirectionFit, expected_predictions, make_lobe
-from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, make_lattice
+from .directional_factor import DETAIL_SHARPNESS, BakedView, NodeGrid
+from .directions import FINE_NODES, MAX_POINTS, PREDICTIONS, DirectionFit, expected_work, make_lobe, stride_of
+from .guided_light import GuidedLight, KnownLight, MarchedPoints, PointGrid
+from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, block_means, make_lattice
 from .lit_volume import LitVolume
-from .smooth_light import continued, importance_of, radiance_in_voxels
+from .smooth_light import FEW, continued, importance_of, radiance_in_voxels
 
+# Least transmittance with which a direction counts in the mean over those that show a voxel.
+HARDLY_SEEN = 1e-3
 # For plans of images, of which a bake makes none.
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
+# Steps of the ray that a point marches, about, for the progress.
+STEPS_PER_POINT = 60.0
 
 
 def bake(
@@ -53,8 +58,8 @@ def bake(
     what these scatter and throw light back, but hide no voxel. What volumes scatter of the light that surfaces throw
     back is baked as a whole, single scattering included. camera: from which light is baked exactly; other directions
     are right through `LitVolume.directional`. Only its place and the size of its pixels matter. Without a camera the
-    mean over all directions is baked. settings: of these `model`, `threads`, `memory_limit`, `multiple`, `provider`,
-    `directional`, `most_voxels` and `optimizations`.
+    mean over the directions that show a voxel is baked. settings: of these `model`, `threads`, `memory_limit`,
+    `multiple`, `provider`, `directional`, `most_voxels` and `optimizations`.
 
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
@@ -96,6 +101,12 @@ def baked_view(camera: Camera | None) -> BakedView:
     if camera.projection == "orthographic":
         return BakedView(direction=-axis / np.linalg.norm(axis), up=up)
     return BakedView(position=camera.world_matrix[:3, 3].copy(), up=up)
+
+
+def _grey(light: np.ndarray) -> np.ndarray:
+    """Mean (...) over the colours of light (..., 3); numpy is slow to reduce an axis of length 3."""
+    mean: np.ndarray = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3.0)
+    return mean
 
 
 class _Bake:
@@ -145,19 +156,16 @@ class _Bake:
         lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(self.scene.environments)
         jobs = lights * len(plan.channels)
         wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
-        points = sum(wanted)
+        points = marched = sum(wanted)
         if self.context.settings.directional:
-            points += sum(self._directional(v, voxels) for v, voxels in enumerate(wanted))
+            for voxels, lattice, visibility in zip(wanted, self.lattices, self.visibilities):
+                thickness = visibility.most_extinction * lattice.voxel
+                more, predicted = expected_work(voxels, max(lattice.density.shape), thickness)
+                points, marched = points + predicted, marched + more
         progress.expect("transport", jobs * len(plan.groups))
         progress.expect("lattices", jobs * len(plan.groups))
-        progress.expect("march", 60.0 * points * len(plan.channels))
+        progress.expect("march", STEPS_PER_POINT * marched * len(plan.channels))
         progress.expect("network", points * jobs)
-
-    def _directional(self, v: int, voxels: float) -> float:
-        """Predictions that other directions take of a volume with so many voxels with light."""
-        lattice = self.lattices[v]
-        thickness = self.visibilities[v].most_extinction * lattice.voxel
-        return expected_predictions(voxels, max(lattice.density.shape), thickness)
 
     def _wanted(self, v: int) -> np.ndarray:
         """bool (nx, ny, nz): voxels whose light is baked."""
@@ -175,11 +183,39 @@ class _Bake:
             return self._predicted(light, lattice.positions(voxels))
 
         wanted = self._wanted(v)
+        if "smooth_light" in self._switches and np.count_nonzero(wanted) > FEW and self._sees_all_around:
+            return self._mean_radiance(v, light, wanted)
         thickness = lattice.density * np.float32(lattice.voxel * channels.sigma_t[v])
         importance = importance_of(thickness, self.visibilities[v].towards(self.view, lattice))
         radiance, predicted = radiance_in_voxels(wanted, importance, predict, "smooth_light" in self._switches)
         report.count("voxels with light", np.count_nonzero(wanted))
         report.count("voxels predicted", predicted)
+        return radiance
+
+    @property
+    def _sees_all_around(self) -> bool:
+        return self.view.directions(np.zeros((1, 3))) is None
+
+    def _mean_radiance(self, v: int, light: GroupRadiance, wanted: np.ndarray) -> np.ndarray:
+        """As `_radiance`, of the mean over the directions that show a voxel."""
+        lattice, visibility = self.lattices[v], self.visibilities[v]
+        guided = self._guided(v, [light], lambda positions: np.ones((1, 3), np.float32))
+        stride = stride_of(max(lattice.density.shape), FINE_NODES, visibility.most_extinction * lattice.voxel)
+        while np.count_nonzero(filled := block_means(wanted.astype(np.float32), stride)) * len(DIRECTIONS) > MAX_POINTS:
+            stride += 1
+        grid, places = PointGrid.over(lattice, stride), np.argwhere(filled)
+        voxels = lattice.voxels(grid.positions(places))
+        # A ray along a direction shows a point to a viewer on the other side of it.
+        shares = WEIGHTS * np.maximum(visibility.transmittances(voxels, -DIRECTIONS), HARDLY_SEEN)
+        shares /= shares.sum(axis=1, keepdims=True)
+        mean = np.zeros((len(places), 3), np.float32)
+        for direction, share in zip(DIRECTIONS, shares.T.astype(np.float32)):
+            light_along = guided(grid, places, BakedView(direction=direction), share, PREDICTIONS)
+            mean += share[:, None] * light_along
+        radiance = np.zeros((*wanted.shape, 3), np.float32)
+        nodes = NodeGrid(grid.spread(places, mean), grid.world_from_index)
+        radiance[wanted] = nodes.sample(lattice.positions(np.argwhere(wanted)))
+        self.context.report.count("voxels with light", np.count_nonzero(wanted))
         return radiance
 
     def _predicted(self, light: GroupRadiance, positions: np.ndarray) -> np.ndarray:
@@ -236,6 +272,26 @@ class _Bake:
         albedo = np.stack([np.minimum(grid.scattering_of(c).sample(index) / density, 1.0) for c in range(3)], axis=1)
         return coefficient * albedo.reshape(*shape, 3)
 
+    def _guided(
+        self, v: int, lights: list[GroupRadiance], coefficient: Callable[[np.ndarray], np.ndarray]
+    ) -> GuidedLight:
+        """Light of one volume from some lights; coefficient: of its scattering at positions (N, 3)."""
+
+        def march(light: GroupRadiance, positions: np.ndarray, directions: np.ndarray) -> MarchedPoints:
+            self.context.cancel.check()
+            points = light.gathered(positions, directions)
+
+            def predict(numbers: np.ndarray) -> np.ndarray:
+                radiance = light.radiance(points, [numbers[span] for span in spans(len(numbers))])
+                return coefficient(positions[numbers]) * radiance.T
+
+            return MarchedPoints(light.guides(points), predict)
+
+        lattice = self.lattices[v]
+        middle = lattice.positions(0.5 * (np.array(lattice.density.shape) - 1.0)[None])[0]
+        every = "smooth_light" not in self._switches or np.count_nonzero(self._wanted(v)) <= FEW
+        return GuidedLight(middle, lambda *rays: [march(light, *rays) for light in lights], every, [])
+
     def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, lights: list[GroupRadiance]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
         volume, medium = self.scene.plan.volumes[v]
@@ -245,14 +301,13 @@ class _Bake:
         directional = None
         if self.context.settings.directional and lights:
             self.context.progress.message(f"other directions of {volume.name}")
-
-            def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
-                radiance = np.sum([light(positions, directions) for light in lights], axis=0)
-                return (coefficient if volume.scattering is None else self._coefficient(v, positions)) * radiance.T
-
             lobe = make_lobe([one.sun for one in self.scene.plan.predicted_suns()], medium.anisotropy)
+            guided = self._guided(v, lights, lambda positions: self._coefficient(v, positions))
+            known = self.view.directions(guided.middle[None])
+            if known is not None:
+                guided.known.append(KnownLight(known[0], PointGrid.over(lattice, 1), _grey(scattered)))
             with report.stage("directions"):
-                fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, predict)
+                fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, guided)
                 directional = fit.factor(DETAIL_SHARPNESS * medium.anisotropy**2)
         scattered = continued(scattered, self._wanted(v))
         return LitVolume(lattice.density, scattered, lattice.world_from_index, directional, volume.name, report)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How baked light depends on the direction that it is seen from."""
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,31 +17,34 @@ from .directional_factor import (
     anchor_terms,
     directional_terms,
 )
-from .lattice import DIRECTIONS, BakeLattice, Visibility
+from .guided_light import GuidedLight, PointGrid
+from .lattice import DIRECTIONS, BakeLattice, Visibility, block_means
 
 # Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
 NODES, FINE_NODES = 48, 112
+# Predictions for each direction: of the smooth coefficients, of an anchor.
+SMOOTH_PREDICTIONS, PREDICTIONS = 600, 6000
+# Points times directions of each kind, beyond which points are farther apart.
+MAX_POINTS = 1_000_000
+# Share of the points with light that count where rays go along one direction, for the progress.
+IMPORTANT_SHARE = 0.3
+# Corrections of corrections, where anchors are seen from other directions than in the middle.
+SWEEPS = 2
 # Voxels of each of the latter whose mean is taken: light differs from one to the next.
 FINE_VOXELS = 2
 # In thin volumes light varies less from voxel to voxel: points are as far apart as this optical depth, but at least so
 # many along the longest edge.
 SPACING, LEAST_NODES = 0.2, 20
-# Points times directions of each kind, beyond which points are farther apart.
-MAX_PREDICTIONS = 2_000_000
-# Share of the points with light that count in a picture, for the progress.
-IMPORTANT_SHARE = 0.5
 # Suns about which the lobe is, the brightest.
 MAX_LIGHTS = 4
 # Transmittance below which nobody sees light along a direction, and radiance, as a share of the mean of a point, below
 # which it hardly counts.
 MIN_TRANSMITTANCE, MIN_RADIANCE = 0.02, 0.01
-# Further directions about a lobe that is narrower than DIRECTIONS are apart, and about the baked view: degrees from it
-# and how many. NARROW: anisotropy from which on a lobe is.
-LOBE_RINGS, VIEW_RING, NARROW = ((0.0, 1), (22.0, 4), (45.0, 7)), (45.0, 7), 0.4
+# Further directions about a lobe that is narrower than DIRECTIONS are apart: degrees from it and how many. NARROW:
+# anisotropy from which on a lobe is.
+LOBE_RINGS, NARROW = ((0.0, 1), (22.0, 4), (45.0, 7)), 0.4
 # How much a node can count in a picture, as a share of the most, below which it takes the coefficients of others.
 MIN_IMPORTANCE = 0.03
-# Of the choice between voxels that are equally near to the middle of a block.
-SEED = 0
 # Stiffness of the fit against large coefficients.
 RIDGE = 1e-3
 NODES_PER_BATCH = 4096
@@ -61,19 +63,15 @@ def make_lobe(suns: Sequence[Sun], anisotropy: float) -> Lobe:
     return Lobe(directions, weights / weights.sum(), float(np.copysign(anisotropy**2, anisotropy)))
 
 
-def sampled_directions(lobe: Lobe, along: np.ndarray | None) -> np.ndarray:
+def sampled_directions(lobe: Lobe) -> np.ndarray:
     """Directions of rays (D, 3) along which light is predicted: DIRECTIONS, and more where those are too far apart.
 
-    That is about the baked view's rays, of which along (N, 3) holds some, and about narrow lobes of the brightest
-    lights, those at least half as bright as the first.
+    That is about narrow lobes of the brightest lights, those at least half as bright as the first.
     """
     found = [DIRECTIONS]
     if abs(lobe.anisotropy) > NARROW:
         axes = lobe.directions[lobe.weights >= 0.5 * lobe.weights[0]] * np.sign(lobe.anisotropy)
         found += [_ring(axis, *ring) for axis in axes for ring in LOBE_RINGS]
-    if along is not None:
-        middle = along.mean(axis=0)
-        found.append(_ring(middle / np.linalg.norm(middle), *VIEW_RING))
     return np.concatenate(found)
 
 
@@ -95,39 +93,53 @@ def stride_of(longest: int, most: int, thickness: float) -> int:
     return max(-(-longest // most), int(thin), 1)
 
 
-def expected_predictions(voxels: float, longest: int, thickness: float) -> float:
-    """Points times directions at which a fit predicts light, about; the arguments are as for `stride_of`.
-
-    voxels: number of those with light.
-    """
-    each = (NODES, len(DIRECTIONS) + VIEW_RING[1]), (FINE_NODES, FINE_VOXELS * (len(ANCHORS) - 1))
-    points = [IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3 * times for most, times in each]
-    return sum(min(number, MAX_PREDICTIONS) for number in points)
+def expected_work(voxels: float, longest: int, thickness: float) -> tuple[float, float]:
+    """Points that a fit marches from, and predictions, about; voxels: with light. Others: as for `stride_of`."""
+    marched, predictions = 0.0, 0.0
+    for most, each, count in (FINE_NODES, PREDICTIONS, len(ANCHORS) - 1), (NODES, SMOOTH_PREDICTIONS, len(DIRECTIONS)):
+        points = min(IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3, MAX_POINTS / count)
+        marched, predictions = marched + count * points, predictions + count * min(points, each)
+    return marched, predictions
 
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Points of a coarse grid at which light is predicted, and voxels of each.
+    """Points of a coarse grid whose blocks have light.
 
-    shape: of the grid. stride: voxels from one point to the next. places: int (N, 3). voxels: int (N, V, 3), those near
-    the middle of a point's block that have light, some more than once where there are fewer. world_from_index: (4, 4)
-    of the grid.
+    points: the whole grid. places: int (N, 3). baked, steady: means (N, 3) over the voxels with light of a block, of
+    `DirectionFit.scattered` and `DirectionFit.steady`.
     """
 
-    shape: tuple[int, ...]
-    stride: int
+    points: PointGrid
     places: np.ndarray
-    voxels: np.ndarray
-    world_from_index: np.ndarray
+    baked: np.ndarray
+    steady: np.ndarray
 
     @property
     def positions(self) -> np.ndarray:
         """(N, 3) in the world."""
-        return self.places @ self.world_from_index[:3, :3].T + self.world_from_index[:3, 3]
+        return self.points.positions(self.places)
+
+    def take(self, some: np.ndarray) -> "_Nodes":
+        """Some of the nodes, bool (N,)."""
+        return _Nodes(self.points, self.places[some], self.baked[some], self.steady[some])
 
     def grid(self, coefficients: np.ndarray) -> NodeGrid:
         """Coefficients (N, K) of the nodes on the whole grid."""
-        return NodeGrid(_spread(self.shape, self.places, coefficients), self.world_from_index)
+        return NodeGrid(self.points.spread(self.places, coefficients), self.points.world_from_index)
+
+
+@dataclass(frozen=True)
+class _AlongAnchors:
+    """Light of N nodes along A rays that are turned from the baked one as the anchors are, about the volume's middle.
+
+    stride: of the nodes. along: (N, A, 3), unit directions. light: (N, A), mean over the colours.
+    """
+
+    nodes: _Nodes
+    stride: int
+    along: np.ndarray
+    light: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -135,8 +147,8 @@ class DirectionFit:
     """What the DirectionalFactor of one volume is fitted to.
 
     scattered: (nx, ny, nz, 3), light that density 1 scatters, as baked, 0 in voxels that need none. steady: the part of
-    it, of the same shape, that is taken to be the same in all directions. lobe, view: of the factor. predict: the other
-    part (N, 3) at world positions (N, 3) along unit directions (N, 3); it may raise Cancelled.
+    it, of the same shape, that is taken to be the same in all directions. lobe, view: of the factor. light: the other
+    part.
     """
 
     lattice: BakeLattice
@@ -145,122 +157,132 @@ class DirectionFit:
     visibility: Visibility
     lobe: Lobe
     view: BakedView
-    predict: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    light: GuidedLight
 
     def factor(self, sharpness: float) -> DirectionalFactor | None:
         """The factor, whose detail fades with some sharpness; None where nothing scatters."""
         if not self.scattered.any():
             return None
+        anchors = self._along_anchors()
         smooth, colours = self._smooth()
-        return DirectionalFactor(smooth, self._anchors(smooth), colours, self.lobe, self.view, sharpness)
+        return DirectionalFactor(smooth, self._anchors(smooth, anchors), colours, self.lobe, self.view, sharpness)
+
+    @property
+    def _middle(self) -> np.ndarray:
+        return self.light.middle
 
     def _smooth(self) -> tuple[NodeGrid, NodeGrid | None]:
         """Smooth coefficients, and those of the colours."""
-        nodes, directions, seen = self._important(
-            NODES, 1, lambda nodes: sampled_directions(self.lobe, self.view.directions(nodes.positions))
-        )
-        samples = np.zeros((len(nodes.voxels), len(directions), 3))
-        for number, direction in enumerate(directions):
-            at = np.flatnonzero(seen[:, number])
-            samples[at, number] = self._light(nodes.voxels[at], np.broadcast_to(direction, (len(at), 3)).copy())
+        directions = sampled_directions(self.lobe)
+        nodes, seen, _ = self._important(NODES, directions)
+        views = [BakedView(direction=direction) for direction in directions]
+        found = [self._light(nodes, view, seen[:, k], SMOOTH_PREDICTIONS) for k, view in enumerate(views)]
+        samples = np.stack(found, axis=1)
         terms, grey = directional_terms(directions, self.lobe), samples.mean(axis=2)
         spans = [slice(start, start + NODES_PER_BATCH) for start in range(0, len(grey), NODES_PER_BATCH)]
         smooth = nodes.grid(np.concatenate([_fit(grey[span], seen[span], terms) for span in spans]))
         along = self.view.directions(nodes.positions)
         turned = directions[None] - (0.0 if along is None else along[:, None])
-        ratios = _ratios(samples) - _ratios(self._baked(nodes.voxels)[:, None])
+        ratios = _ratios(samples) - _ratios(nodes.baked[:, None])
         ratios[seen == 0.0] = 0.0
         if np.abs(ratios).max() < SAME_COLOUR:
             return smooth, None
         return smooth, nodes.grid(_slopes(ratios, seen * grey, np.broadcast_to(turned, ratios.shape)))
 
-    def _anchors(self, smooth: NodeGrid) -> NodeGrid:
+    def _along_anchors(self) -> _AlongAnchors | None:
+        """Light along the anchors; None without a view."""
+        frames = self.view.frames(self._middle[None])
+        if frames is None:
+            return None
+        [frame] = frames
+        nodes, seen, stride = self._important(FINE_NODES, product(ANCHORS, frame))
+        views = [self._turned(frame.T @ _turn(anchor) @ frame) for anchor in ANCHORS]
+        light = [nodes.baked]
+        light += [self._light(nodes, view, seen[:, k], PREDICTIONS) for k, view in enumerate(views) if k]
+        found = [view.directions(nodes.positions) for view in views]
+        along = np.stack([one for one in found if one is not None], axis=1)
+        return _AlongAnchors(nodes, stride, along, np.stack([one.mean(axis=1) for one in light], axis=1))
+
+    def _anchors(self, smooth: NodeGrid, known: _AlongAnchors | None) -> NodeGrid:
         """Logarithms of the light as baked, and what corrects smooth coefficients along the anchors."""
-        if self.view.directions(np.zeros((1, 3))) is None:
-            nodes = self._nodes(self._stride(FINE_NODES), FINE_VOXELS)
-            return nodes.grid(_logarithm(self._baked(nodes.voxels).mean(axis=1))[:, None])
-        nodes, corrections = self._corrections(smooth)
-        positions, logarithms = nodes.positions, _logarithm(self._baked(nodes.voxels).mean(axis=1))
+        every = self._nodes(self._stride(FINE_NODES) if known is None else known.stride)
+        positions, logarithms = every.positions, _logarithm(every.baked.mean(axis=1))
         frames = self.view.frames(positions)
-        assert frames is not None
+        if frames is None or known is None:
+            return every.grid(logarithms[:, None])
+        # Unimportant nodes take others'.
+        spread = self._corrections(smooth, known)
+        corrections = spread.values[tuple(every.places.T)].astype(np.float64)
         # Along the baked ray, light is known at every node.
         fitted = np.einsum("nk,nk->n", smooth.sample(positions), directional_terms(frames[:, 2], self.lobe))
-        fitted += corrections @ anchor_terms(ANCHORS[:1])[0]
+        fitted += product(corrections, anchor_terms(ANCHORS[:1])[0])
         corrections[:, 0] += logarithms - fitted
-        return nodes.grid(np.concatenate([logarithms[:, None], corrections], axis=1))
+        exact = every.grid(np.stack([logarithms, corrections[:, 0]], axis=1))
+        return NodeGrid(np.concatenate([exact.values, spread.values[..., 1:]], axis=3), exact.world_from_index)
 
-    def _corrections(self, smooth: NodeGrid) -> tuple[_Nodes, np.ndarray]:
-        """Nodes and their corrections (N, K) along the anchors; unimportant nodes take others'."""
-        nodes, _, _ = self._important(FINE_NODES, FINE_VOXELS, self._middle_anchors)
-        turned, coefficients = self.view.frames(nodes.positions), smooth.sample(nodes.positions)
-        assert turned is not None
-        light, fitted = np.zeros((2, len(coefficients), len(ANCHORS)))
-        for k, anchor in enumerate(ANCHORS):
-            directions = np.einsum("j,nji->ni", anchor, turned)
-            predicted = self._light(nodes.voxels, directions) if k else self._baked(nodes.voxels)
-            light[:, k] = predicted.mean(axis=1)
-            fitted[:, k] = np.einsum("nk,nk->n", coefficients, directional_terms(directions, self.lobe))
-        logarithms = _logarithm(np.maximum(light, MIN_RADIANCE * light.mean(axis=1, keepdims=True)))
-        # The same everywhere: anchors turn with the baked ray.
-        corrections = nodes.grid(product(logarithms - fitted, np.linalg.inv(anchor_terms(ANCHORS))))
-        every = self._nodes(nodes.stride, FINE_VOXELS)
-        return every, corrections.values[tuple(every.places.T)].astype(np.float64)
-
-    def _middle_anchors(self, nodes: _Nodes) -> np.ndarray:
-        """Directions (K, 3) of the anchors in the middle of nodes."""
-        frames = self.view.frames(nodes.positions)
+    def _corrections(self, smooth: NodeGrid, known: _AlongAnchors) -> NodeGrid:
+        """What corrects smooth coefficients along the anchors."""
+        positions = known.nodes.positions
+        frames, coefficients = self.view.frames(positions), smooth.sample(positions)
         assert frames is not None
-        return ANCHORS @ frames[np.linalg.norm(frames - frames.mean(axis=0), axis=(1, 2)).argmin()]
+        columns = range(len(ANCHORS))
+        fitted = [np.einsum("nk,nk->n", coefficients, directional_terms(known.along[:, k], self.lobe)) for k in columns]
+        least = MIN_RADIANCE * known.light.mean(axis=1, keepdims=True)
+        residual = _logarithm(np.maximum(known.light, least)) - np.stack(fitted, axis=1)
+        inverse = np.linalg.inv(anchor_terms(ANCHORS))
+        corrections = product(residual, inverse)
+        # Off the middle, rays of turned cameras are not quite along the anchors.
+        local = [np.einsum("nij,nj->ni", frames, known.along[:, k]) for k in columns]
+        for _ in range(SWEEPS if self.view.position is not None else 0):
+            told = [np.einsum("nk,nk->n", corrections, anchor_terms(rays)) for rays in local]
+            corrections += product(residual - np.stack(told, axis=1), inverse)
+        return known.nodes.grid(corrections)
 
-    def _light(self, voxels: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Light (N, 3) that density 1 scatters along unit directions (N, 3), mean over voxels (N, V, 3)."""
-        count = voxels.shape[1]
-        flat = voxels.reshape(-1, 3)
-        light = self.predict(self.lattice.positions(flat), directions.repeat(count, axis=0))
-        return (self.steady[tuple(flat.T)] + light).reshape(-1, count, 3).mean(axis=1)
+    def _turned(self, rotation: np.ndarray) -> BakedView:
+        """The view, turned by a rotation (3, 3) about the volume's middle."""
+        if self.view.position is None:
+            return BakedView(direction=rotation @ self.view.direction)
+        return BakedView(position=self._middle + rotation @ (self.view.position - self._middle))
 
-    def _baked(self, voxels: np.ndarray) -> np.ndarray:
-        """Light (N, 3) as baked, mean over voxels (N, V, 3)."""
-        return self.scattered[tuple(np.moveaxis(voxels, -1, 0))].mean(axis=1)
+    def _light(self, nodes: _Nodes, view: BakedView, seen: np.ndarray, most: int) -> np.ndarray:
+        """Light (N, 3) that density 1 scatters at nodes along a view's rays, which show them so clearly (N,).
+
+        most: how many of them are predicted, about.
+        """
+        importance = seen * self._thickness(nodes)
+        return self.light(nodes.points, nodes.places, view, importance, most) + nodes.steady
 
     def _stride(self, most: int) -> int:
         thickness = self.visibility.most_extinction * self.lattice.voxel
         return stride_of(max(self.scattered.shape[:3]), most, thickness)
 
-    def _nodes(self, stride: int, count: int) -> _Nodes:
-        """Nodes with light, so many voxels apart, and up to `count` voxels of each."""
-        size, lattice = self.scattered.shape[:3], self.lattice
-        shape = tuple(-(-n // stride) for n in size)
-        voxels = np.argwhere(self.scattered.any(axis=3))
-        places = voxels // stride
-        # Those nearest to the middle of a block, in no order that favours an axis.
-        distance = np.linalg.norm(voxels - places * stride - 0.5 * (stride - 1), axis=1).round(3)
-        flat = np.ravel_multi_index(tuple(places.T), shape)
-        order = np.lexsort((np.random.default_rng(SEED).random(len(flat)), distance, flat))
-        first = np.flatnonzero(np.diff(flat[order], prepend=-1))
-        sizes = np.minimum(np.diff(first, append=len(order)), count)
-        chosen = order[first[:, None] + np.arange(sizes.max()) % sizes[:, None]]
-        frame = lattice.world_from_index.copy()
-        frame[:3, :3] *= stride
-        frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
-        return _Nodes(
-            shape=shape, stride=stride, places=places[order[first]], voxels=voxels[chosen], world_from_index=frame
+    def _thickness(self, nodes: _Nodes) -> np.ndarray:
+        """Optical thickness (N,) of nodes, at most 1."""
+        thickness = self.visibility.extinction(self.lattice.voxels(nodes.positions)) * np.float32(nodes.points.spacing)
+        return np.minimum(thickness, np.float32(1.0))
+
+    def _nodes(self, stride: int) -> _Nodes:
+        """Nodes with light, so many voxels apart."""
+        # numpy is slow to reduce an axis of length 3.
+        red, green, blue = (self.scattered[..., c] != 0.0 for c in range(3))
+        filled = block_means(red | green | blue, stride)
+        places = np.argwhere(filled > 0.0)
+        at = tuple(places.T)
+        baked, steady = (
+            np.stack([block_means(light[..., c], stride)[at] / filled[at] for c in range(3)], axis=1)
+            if light.any()
+            else np.zeros(places.shape, np.float32)
+            for light in (self.scattered, self.steady)
         )
+        return _Nodes(PointGrid.over(self.lattice, stride), places, baked, steady)
 
-    def _important(
-        self, most: int, count: int, directions_at: Callable[[_Nodes], np.ndarray]
-    ) -> tuple[_Nodes, np.ndarray, np.ndarray]:
-        """Nodes that count, the directions (D, 3) that rays have there, and how clearly each shows a node (N, D).
-
-        most, count: as for `_stride` and `_nodes`. No more nodes than MAX_PREDICTIONS allows.
-        """
+    def _important(self, most: int, directions: np.ndarray) -> tuple[_Nodes, np.ndarray, int]:
+        """As `_seen`, and the stride of the nodes: at most so many along the longest edge, and MAX_POINTS in all."""
         stride = self._stride(most)
         while True:
-            nodes = self._nodes(stride, count)
-            directions = directions_at(nodes)
-            nodes, seen = self._seen(nodes, directions)
-            if nodes.voxels[..., 0].size * len(directions) <= MAX_PREDICTIONS:
-                return nodes, directions, seen
+            nodes, seen = self._seen(self._nodes(stride), directions)
+            if seen.size <= MAX_POINTS:
+                return nodes, seen, stride
             stride += 1
 
     def _seen(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:
@@ -269,15 +291,21 @@ class DirectionFit:
         Transmittances, 0 where nobody sees a node along a direction.
         """
         # A ray along a direction shows a point to a viewer on the other side of it.
-        seen = self.visibility.transmittances(nodes.voxels[:, 0], -directions)
+        voxels = self.lattice.voxels(nodes.positions)
+        seen = self.visibility.transmittances(voxels, -directions)
         seen[seen < MIN_TRANSMITTANCE] = 0.0
-        spacing = np.linalg.norm(nodes.world_from_index[:3, :3], axis=0).max()
-        thickness = self.visibility.extinction(nodes.voxels[:, 0]) * np.float32(spacing)
-        importance = np.minimum(thickness, np.float32(1.0)) * seen.max(axis=1)
+        importance = self._thickness(nodes) * seen.max(axis=1)
         if not importance.any():
             return nodes, np.ones_like(seen)
         some = importance >= MIN_IMPORTANCE * importance.max()
-        return replace(nodes, places=nodes.places[some], voxels=nodes.voxels[some]), seen[some]
+        return nodes.take(some), seen[some]
+
+
+def _turn(anchor: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3), about an axis across both, that takes the third axis to a unit vector (3,)."""
+    x, y, z = anchor
+    cross = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1.0 + z)
 
 
 def _logarithm(light: np.ndarray) -> np.ndarray:
@@ -321,30 +349,3 @@ def _fit(samples: np.ndarray, seen: np.ndarray, terms: np.ndarray) -> np.ndarray
     scale = (seen * samples).sum(axis=1) / np.maximum((seen * fitted).sum(axis=1), 1e-30)
     coefficients[:, 0] += np.log(np.maximum(scale * mean[:, 0], 1e-30))
     return coefficients
-
-
-def _spread(shape: Sequence[int], nodes: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Coefficients (N, K) of nodes on the whole grid, (nx, ny, nz, K): others take their neighbours' mean.
-
-    Nodes without any that is known take those of neighbours that have just taken theirs, and so on.
-    """
-    # An edge that stays unknown saves tests of the grid's limits.
-    padded = tuple(n + 2 for n in shape)
-    values = np.zeros((math.prod(padded), coefficients.shape[1]), np.float32)
-    known = np.zeros(len(values), bool)
-    places = np.ravel_multi_index(tuple(nodes.T + 1), padded)
-    values[places], known[places] = coefficients, True
-    steps = np.array([[padded[1] * padded[2]], [padded[2]], [1]]) * [-1, 1]
-    inside = np.ravel_multi_index(tuple(np.indices(shape).reshape(3, -1) + 1), padded)
-    unknown = inside[~known[inside]]
-    while len(unknown):
-        around = unknown[:, None] + steps.ravel()
-        near = known[around]
-        counts = near.sum(axis=1)
-        reached, around = unknown[counts > 0], around[counts > 0]
-        # Values that are not known are zeros.
-        sums = np.sum([values[around[:, side]] for side in range(6)], axis=0)
-        values[reached] = sums / counts[counts > 0, None].astype(np.float32)
-        known[reached] = True
-        unknown = unknown[counts == 0]
-    return values[inside].reshape(*shape, -1)

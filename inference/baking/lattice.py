@@ -9,6 +9,7 @@ import numpy as np
 from ..grids.bounds import filled_bounds
 from ..grids.grid import Grid
 from ..grids.optical_depth_sweep import sun_optical_depth
+from ..numerics.small_matmul import affine_inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Volume
@@ -48,6 +49,12 @@ class BakeLattice:
         """World positions (N, 3) of the centres of voxels int (N, 3)."""
         return voxels @ self.world_from_index[:3, :3].T + self.world_from_index[:3, 3]
 
+    def voxels(self, positions: np.ndarray) -> np.ndarray:
+        """The nearest voxels int (N, 3) of world positions (N, 3)."""
+        inverse = affine_inverse(self.world_from_index)
+        index = np.rint(product(positions, inverse[:3, :3].T) + inverse[:3, 3]).astype(np.int64)
+        return np.clip(index, 0, np.array(self.density.shape) - 1)
+
     @property
     def voxel(self) -> float:
         """Longest edge of a voxel in world units."""
@@ -84,7 +91,7 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Se
         density = volume.density.crop(low, high).dense()
     else:
         density = volume.density[tuple(map(slice, low, high))]
-    return BakeLattice(np.pad(_block_means(density, times), 1), frame, times)
+    return BakeLattice(np.pad(block_means(density, times), 1), frame, times)
 
 
 def _coarsening(volume: Volume, grid: Grid, camera: Camera) -> int:
@@ -120,7 +127,7 @@ class Visibility:
     def __init__(self, lattice: BakeLattice, sigma_t: float, cancel: CancelToken = NEVER):
         self.shape = np.array(lattice.density.shape)
         self.cell = int(-(-self.shape.max() // VISIBILITY_CELLS))
-        self._extinction = _block_means(lattice.density, self.cell) * np.float32(sigma_t)
+        self._extinction = block_means(lattice.density, self.cell) * np.float32(sigma_t)
         frame = lattice.world_from_index[:3, :3] * self.cell
         self._index_from_world, self._cancel = np.linalg.inv(frame), cancel
         self.depths = np.stack([self._depths(direction) for direction in DIRECTIONS])
@@ -179,7 +186,7 @@ class Visibility:
         return np.stack(found, axis=1)
 
 
-def _block_means(values: np.ndarray, size: int) -> np.ndarray:
+def block_means(values: np.ndarray, size: int) -> np.ndarray:
     """Means of blocks of size^3 values; blocks at the end are filled up with zeros."""
     if size == 1:
         return values

@@ -195,6 +195,7 @@ class AskedGroup:
             albedos=albedos,
             predictor=prepared,
             features=features,
+            irradiance=light.irradiance,
             turn=turn,
             uncertainty=scene.uncertainty_network,
         )

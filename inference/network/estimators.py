@@ -46,15 +46,18 @@ class LitPoints:
     depths: np.ndarray | None = None
     image: tuple[np.ndarray, np.ndarray] | None = None
 
+    def __len__(self) -> int:
+        return len(self.positions)
+
     @property
     def places(self) -> np.ndarray | slice:
         """As `numbers`, a slice for all of them."""
         return slice(None) if self.numbers is None else self.numbers
 
-    def span(self, span: slice) -> "LitPoints":
-        """Some of the points, of those that have no jitter and are numbered one after another."""
+    def take(self, points: np.ndarray | slice) -> "LitPoints":
+        """Some of the points, by number, of those that have no jitter and are numbered one after another."""
         assert self.numbers is None and self.jitter is None
-        return replace(self, positions=self.positions[span], directions=self.directions[span], numbers=span)
+        return replace(self, positions=self.positions[points], directions=self.directions[points], numbers=points)
 
 
 class Estimator(Protocol):
@@ -102,19 +105,32 @@ class Estimator(Protocol):
         """Light (N,) that has scattered and arrives from ahead on the ray; None where it is not known."""
         return None
 
+    def guides(self, points: LitPoints) -> np.ndarray:
+        """What is known of the light at points before it is predicted: (N, C), at least 0.
+
+        The light is roughly a sum of these with factors of at least 0. Where rays have gathered no light, the share of
+        it that reaches the point from ahead and from behind.
+        """
+        if points.depths is None:
+            return np.ones((len(points.positions), 1))
+        reaching = np.exp(-points.depths[points.places].astype(np.float64))
+        return np.column_stack([np.ones(len(reaching)), reaching])
+
 
 @dataclass(frozen=True, kw_only=True)
 class LightEstimator:
     """Of a light that the network for suns predicts; an `Estimator`.
 
     strength: (3,), irradiance or power. predictor: for a strength of 1. features: what rays have gathered of the light
-    at points, float32 (N, COLUMNS). turn: in which directions it sees rays.
+    at points, float32 (N, COLUMNS). irradiance: of a strength of 1 at world positions (N, 3). turn: in which directions
+    it sees rays.
     """
 
     strength: np.ndarray
     albedos: Albedos
     predictor: RadiancePredictor
     features: Callable[[LitPoints], np.ndarray | None]
+    irradiance: Callable[[np.ndarray], np.ndarray | np.float32]
     turn: Turn
     uncertainty: UncertaintyNetwork | None = None
     coloured = needs_depths = False
@@ -155,6 +171,14 @@ class LightEstimator:
         """As of Estimator."""
         features = self.features(points)
         return None if features is None else features[:, -1]
+
+    def guides(self, points: LitPoints) -> np.ndarray:
+        """As of Estimator: the light ahead, and that which reaches the point unscattered."""
+        features, irradiance = self.features(points), np.broadcast_to(self.irradiance(points.positions), len(points))
+        if features is None:
+            return irradiance[:, None].astype(np.float64)
+        found = np.column_stack([np.exp(-features[:, 0]), features[:, 2:]]) * irradiance[:, None]
+        return found.astype(np.float64) * self.strength.mean()
 
     def _asked(self, points: LitPoints) -> RayPoints:
         return RayPoints(

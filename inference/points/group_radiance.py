@@ -84,33 +84,46 @@ class GroupRadiance:
         positions, directions: float64 (N, 3) in the world, points with density and unit directions of camera rays.
         Channels other than those asked for are 0. Raises Cancelled.
         """
-        context, radiance = self._context, np.zeros((3, len(positions)), np.float32)
-        sources = [*self.sources, *([self._returned] if self._returned else [])]
-        points = self._gathered(positions, directions, any(source.estimator.needs_depths for source in sources))
-        for source in sources:
+        return self.radiance(self.gathered(positions, directions), spans(len(positions)))
+
+    def radiance(self, points: LitPoints, parts: Sequence[np.ndarray | slice]) -> np.ndarray:
+        """As a call, (3, M) at some points, by number in parts of at most POINTS_PER_TASK."""
+        context = self._context
+        starts = np.cumsum([0, *(len(points.directions[part]) for part in parts)])
+        radiance = np.zeros((3, starts[-1]), np.float32)
+        for source in self._all:
             with context.report.stage("network"), context.progress.stage("network"):
-                for span, told, predicted in self._told(source, points):
+                for start, told in zip(starts, self._told(source, points, parts)):
                     for row in source.rows:
                         if row.quantity in told and (not row.once or source is self._returned):
+                            values = told[row.quantity]
                             for c in row.channels:
                                 strength = np.float32(source.estimator.strength[c])
-                                radiance[c, span] += told[row.quantity] * strength
-                    context.progress.advance("network", predicted)
-            context.report.count("network points", len(positions))
+                                radiance[c, start : start + len(values)] += values * strength
+                    context.progress.advance("network", len(next(iter(told.values()), ())))
+            context.report.count("network points", starts[-1])
         return radiance
 
-    def _told(self, source: Source, points: LitPoints) -> Iterator[tuple[slice, dict, int]]:
-        """Yield batches of points, what is told there, and how many these are."""
+    def guides(self, points: LitPoints) -> np.ndarray:
+        """Of all estimators at points, (N, C); see there."""
+        return np.concatenate([source.estimator.guides(points) for source in self._all], axis=1)
+
+    @property
+    def _all(self) -> list[Source]:
+        return [*self.sources, *([self._returned] if self._returned else [])]
+
+    def _told(self, source: Source, points: LitPoints, parts: Sequence[np.ndarray | slice]) -> Iterator[dict]:
+        """Yield what a source tells of each part of the points."""
         estimator = source.estimator
 
-        def task(span: slice) -> tuple[slice, dict, int]:
-            batch = points.span(span)
-            return span, estimator.radiance(estimator.predict(batch), batch), len(batch.positions)
+        def task(part: np.ndarray | slice) -> dict:
+            some = points.take(part)
+            return estimator.radiance(estimator.predict(some), some)
 
-        return self._context.tasks.map(task, spans(len(points.positions)))
+        return self._context.tasks.map(task, parts)
 
-    def _gathered(self, positions: np.ndarray, directions: np.ndarray, depths: bool) -> LitPoints:
-        """Points with what estimators read of their rays."""
+    def gathered(self, positions: np.ndarray, directions: np.ndarray) -> LitPoints:
+        """Points with what estimators read of their rays, for `radiance`; the arguments are as for a call."""
         points, count = LitPoints(positions, directions), len(positions)
         if self._march is not None and count:
             # Where a ray meets no density, nothing lies ahead.
@@ -128,7 +141,7 @@ class GroupRadiance:
 
             self._follow(self._march, positions, directions, keep)
             points = replace(points, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
-        if depths:
+        if any(source.estimator.needs_depths for source in self._all):
             along = np.zeros((count, 2), np.float32)
             for column, towards in enumerate((directions, -directions)):
 

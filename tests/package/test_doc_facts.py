@@ -331,9 +331,15 @@ FACTS = [
     ),
     (
         "docs/understand/method-details.md",
-        r"\| up to (\d+) \| .{0,80} fixed ones; (\d+) at (\d+)°",
+        r"\| up to (\d+) \| 26 fixed ones",
         "inference.baking.directions",
-        ("NODES", "VIEW_RING[1]", "VIEW_RING[0]"),
+        ("NODES",),
+    ),
+    (
+        "docs/understand/method-details.md",
+        r"shows: (\d+) for a fixed direction, (\d+) for an anchor",
+        "inference.baking.directions",
+        ("SMOOTH_PREDICTIONS", "PREDICTIONS"),
     ),
     (
         "docs/understand/method-details.md",
