@@ -15,6 +15,9 @@ from .framebuffer import add_at
 from .predicted_error import SparseDeviation
 from .sources import Source
 
+# Samples between two questions whether to stop: a fiftieth of a second.
+SAMPLES_PER_CHECK = 1 << 17
+
 
 def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile: Tile, samples: DepthSamples) -> None:
     """Add the light of every source to the tile, and its uncertainty. Raises Cancelled."""
@@ -154,11 +157,22 @@ class TileEstimate:
         """Opacity float32 (P,) of the members alone; its guide is the mean over it of the scattered light ahead."""
         weight = self.samples.weight * self.share
         opacity = np.bincount(self.pixel, weight, len(self.error)).astype(np.float32)
-        light = self.source.estimator.light_ahead(self._asked(slice(None)))
+        light = self._light_ahead()
         if light is None:
             return opacity, distance_guide(self, opacity, self.source.voxel)
         ahead = np.bincount(self.pixel, weight * light, len(opacity)) / np.maximum(opacity, np.float32(1e-30))
         return opacity, Guide(ahead, ahead)
+
+    def _light_ahead(self) -> np.ndarray | None:
+        """As of the estimator, at all samples. Raises Cancelled."""
+        ahead = []
+        for start in range(0, len(self.pixel), SAMPLES_PER_CHECK):
+            self.context.cancel.check()
+            light = self.source.estimator.light_ahead(self._asked(slice(start, start + SAMPLES_PER_CHECK)))
+            if light is None:
+                return None
+            ahead.append(light)
+        return np.concatenate(ahead)
 
     def scattered(self) -> np.ndarray | None:
         """What of the light that each pixel takes it scatters, (K, P); None where that is the same in all of them."""
