@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+import training.rpnn  # noqa: F401  Lets settings name it.
 from inference import Medium, RenderCache, Settings, Sun, Surface, render
 from inference.occluders.cell_boundaries import CellBoundaries
 from inference.occluders.shadow_map import ShadowMap
