@@ -41,7 +41,7 @@ def lookup_offsets(columns: np.ndarray, rows: np.ndarray, seed: int) -> np.ndarr
 
 
 @dataclass(frozen=True)
-class _TileRays:
+class TileRays:
     """Camera rays that are marched: R of them.
 
     batch: RayBatch. pixel: int (R,), of the tile, ascending. offsets: (R,) in [0, 1), jitter of lookups. share: (R,),
@@ -69,7 +69,7 @@ def march_tile(
 
 def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> DepthSamples | None:
     report = tile.report
-    rays = _tile_rays(context, scene, channel_pass, tile)
+    rays = tile_rays(context, scene, channel_pass, tile)
     if rays is None:
         return None
     counts = channel_pass.step_counts(rays.batch)
@@ -81,7 +81,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
             "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(context, scene, counts)
-    shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
+    shade, parts, features, of_lamps = Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
     means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
     for start in range(0, len(rays.pixel), size):
@@ -92,11 +92,11 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         single = shade.single(segment, batch, rays.pixel[span], rays.free[span])
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
-        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[span], rays.share[span], segment, single))
+        add_marched(tile.framebuffer, scene, channel_pass, MarchedRays(rays.pixel[span], rays.share[span], segment, single))
         if segment.lamps is not None:
             for mean in means:
                 mean.replace(segment.lamps.single, start)
-            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[span], rays.share[span], segment.lamps.single)
+            add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[span], rays.share[span], segment.lamps.single)
             if segment.lamps.features is not None:
                 of_lamps.append(segment.lamps.features.values)
         ray = (start + segment.sample_ray).astype(np.int32)
@@ -164,10 +164,10 @@ def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndar
 
 
 @dataclass(frozen=True)
-class _MarchedRays:
+class MarchedRays:
     """What a batch of R rays gathered.
 
-    pixel, share: (R,), as in _TileRays. single: (R, V, L, S), as in RaySegment, with the phase function.
+    pixel, share: (R,), as in TileRays. single: (R, V, L, S), as in RaySegment, with the phase function.
     """
 
     pixel: np.ndarray
@@ -176,7 +176,7 @@ class _MarchedRays:
     single: np.ndarray
 
 
-def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: _MarchedRays) -> None:
+def add_marched(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: MarchedRays) -> None:
     """Add what a batch of rays gathered to the tile."""
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
@@ -198,7 +198,7 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * fraction)
 
 
-def _add_lamps(
+def add_lamps(
     framebuffer: Framebuffer,
     scene: PreparedScene,
     channel_pass: ChannelPass,
@@ -208,7 +208,7 @@ def _add_lamps(
 ) -> None:
     """Add single scattering of lamps (R, V, K, S), as in LampSegment, to the tile.
 
-    pixel, share: (R,), as in _TileRays.
+    pixel, share: (R,), as in TileRays.
     """
     linked = scene.plan.linking(scene.plan.lamps)
     for c in channel_pass.channels.indices:
@@ -219,7 +219,7 @@ def _add_lamps(
 
 
 def _means_around_lamps(
-    scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: _TileRays
+    scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: TileRays
 ) -> list[LampMeans]:
     """As `means_around_lamps`, of the rays of a tile that are all of their pixels."""
     camera, (x0, y0, x1, _) = tile.camera, tile.camera.window
@@ -233,7 +233,7 @@ def _means_around_lamps(
     return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
 
 
-class _Shading:
+class Shading:
     """Phase functions of single scattering in one tile."""
 
     def __init__(self, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera):
@@ -262,7 +262,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> _TileRays | None:
+def tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> TileRays | None:
     """The camera rays that may meet a volume, or None if there are none."""
     report, pixel = tile.report, tile.shown
     report.count("camera rays", len(pixel))
@@ -287,10 +287,10 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     report.count("rays marched", np.count_nonzero(hit))
     if not hit.any():
         return None
-    rays = _TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
+    rays = TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
     if not hit.all():
         batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
-        rays = _TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
+        rays = TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
     return replace(rays, batch=channel_pass.detailed(rays.batch))
 
 

@@ -191,3 +191,7 @@ class Tile:
         pixels = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
         framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
         return cls(replace(camera, region=window), framebuffer, Report.of_thread(), pixels)
+
+    def unreported(self) -> "Tile":
+        """The same tile with a report of its own, for work on it that is not counted."""
+        return replace(self, report=Report.of_thread())

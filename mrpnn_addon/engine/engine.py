@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN as a render engine: F12 writes the layer to the render result."""
 
+import os
 import threading
 import time
 import traceback
@@ -10,16 +11,20 @@ from typing import Any
 import bpy
 import gpu
 
-from ...inference.image.layer import empty_layer
+from ...inference.image.layer import Layer, empty_layer
 from ...inference.scene import Camera, Cancelled, SceneError
 from ..nodes.material import shows_volume
 from ..objects.camera import film_exposure, read_views
+from ..objects.views import View
 from ..objects.visibility import visible_objects
+from ..output.frames import picture_path
 from ..output.passes import extra_passes
+from ..runtime.atomic_write import make_folder
 from ..runtime.background import Worker
 from ..runtime.text import percent, render_status, report, utf8_names
 from ..scene.changes import keeps_volumes
 from ..scene.film import Background, read_background
+from ..scene.outputs import wanted_outputs
 from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
 from ..settings.properties import scene_settings
@@ -28,7 +33,7 @@ from ..volumes.loading import VolumeLoading
 from ..volumes.read_ahead import ReadAhead
 from ..volumes.reader import VolumeReader
 from . import builtin_panels, viewport
-from .render_job import render_scene, stamp
+from .render_job import render_scene, stamp, write_deep_files
 from .render_result import RenderResult
 from .viewport import Viewport, viewport_camera
 from .viewport_region import WHOLE, coarser, pixel_size, render_region
@@ -180,6 +185,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             report(self, "WARNING", warning)
         for view, layer in finished.layers:
             results[view.name].finish(layer, stamp(settings, layer.report, time.perf_counter() - started))
+        self._write_deep(depsgraph, finished.layers)
         finished.seconds = time.perf_counter() - cls._asked
         remember_finished(finished)
 
@@ -248,7 +254,22 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             camera = view.camera
             background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
             result = RenderResult(self, depsgraph.view_layer, camera, background, view.name)
-            result.finish(empty_layer(camera), {})
+            layer = empty_layer(camera, wanted_outputs(depsgraph.scene, depsgraph.view_layer))
+            result.finish(layer, {})
+            self._write_deep(depsgraph, [(view, layer)])
+
+    def _write_deep(self, depsgraph: "bpy.types.Depsgraph", layers: list[tuple[View, Layer]]) -> None:
+        """Write deep samples beside the picture, if any. The picture stays where that fails."""
+        if all(layer.deep is None for _, layer in layers):
+            return
+        scene, name = depsgraph.scene, depsgraph.view_layer.name
+        others = sum(one.use for one in scene.view_layers) > 1 and not scene.render.use_single_layer
+        try:
+            path = picture_path(scene, self.is_animation, name if others else "") + ".exr"
+            make_folder(os.path.dirname(path))
+            write_deep_files(path, layers, self._check)
+        except (SceneError, OSError) as error:
+            report(self, "WARNING", f"no deep samples are written: {error}")
 
 
 class _Progress:

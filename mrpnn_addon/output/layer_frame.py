@@ -36,6 +36,9 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
         emission=placed(layer.emission, 0.0),
         sampling_error=None,
         groups={name: placed(rgb, 0.0) for name, rgb in layer.groups.items()},
+        deep=layer.deep and layer.deep.in_window((x0, y0, x1, y1), (width, height)),
+        coverage=layer.coverage and layer.coverage.in_window((x0, y0, x1, y1), width),
+        median=None if layer.median is None else placed(layer.median, np.inf),
     )
 
 

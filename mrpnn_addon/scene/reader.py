@@ -44,6 +44,7 @@ from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
 from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
+from .outputs import wanted_outputs
 from .unrendered import composited
 
 NO_VOLUME = (
@@ -71,6 +72,7 @@ class SceneDescription:
     groups: which light group lights, volumes and meshes are in.
     views: what a picture shows; several where the scene is stereoscopic. `camera` is the active one. in_one_file:
         whether an OpenEXR file holds all of them.
+    outputs: what the view layer and the scene ask for besides colours, as of `Settings`.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -92,6 +94,7 @@ class SceneDescription:
     groups: LightGroups = field(default_factory=LightGroups)
     views: list[View] = field(default_factory=list)
     in_one_file: bool = False
+    outputs: frozenset[str] = frozenset()
 
     def seen_by(self, view: View) -> "SceneDescription":
         """The same scene with a view's camera. Makes the surfaces, which the views share."""
@@ -249,6 +252,7 @@ def _describe(
         ],
     )
     if space is None:
+        description.outputs = wanted_outputs(scene, layer)
         description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
     reader, links = reader or VolumeReader(), LightLinks()
     for shown in visible_objects(depsgraph, space):

@@ -40,6 +40,7 @@ ROOMS = {
         "features",
         "network",
         "paper",
+        "deep",
         "render_cache",
         "image",
         "render",
