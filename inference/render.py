@@ -115,6 +115,7 @@ def _finished_parts(
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             outputs = Outputs(settings.outputs, camera)
             yield from _render_passes(context, scene, framebuffer, outputs)
+            outputs.add_shadow(context, scene, surfaces)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))

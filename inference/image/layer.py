@@ -2,14 +2,14 @@
 """The result of a render."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..deep.deep_image import DeepImage
 from ..runtime.report import Report
 from ..scene.camera import Camera
-from .framebuffer import Framebuffer, Window
+from .framebuffer import Framebuffer
 
 
 @dataclass
@@ -37,12 +37,6 @@ class Coverage:
         share = np.bincount(of.reshape(-1), share, len(flat)).astype(np.float32)
         return cls(flat // count, flat % count, share, names)
 
-    def in_window(self, window: Window, width: int) -> "Coverage":
-        """The same of an image of a width that has the layer in a window."""
-        x0, y0, x1, _ = window
-        row, column = np.divmod(self.pixel, x1 - x0)
-        return replace(self, pixel=(row + y0) * width + column + x0)
-
 
 @dataclass
 class Layer:
@@ -60,9 +54,11 @@ class Layer:
     report: what was planned, skipped and measured; None for a tile.
     sampling_error: float32 (H, W), the part of the uncertainty due to depth sampling and interpolation, which more
         depth samples lower; None where it is not kept.
-    deep, coverage, median: on request (`Settings.outputs`), else None. deep: samples that are the layer when they are
-        flattened. median: float32 (H, W), distance along the ray at which half of the opacity is in front; infinity
-        where alpha is 0.
+    deep, coverage, median, shadow: on request (`Settings.outputs`), else None. deep: samples that are the layer when
+        they are flattened. median: float32 (H, W), distance along the ray at which half of the opacity is in front;
+        infinity where alpha is 0. shadow: float32 (H, W, 3), share of the light of suns and lamps that volumes let
+        through to the surface of the pixel; 1 without one.
+    passes: float32 (H, W) or (H, W, channels), more of them by name, which whoever asked for the layer has added.
     """
 
     rgb: np.ndarray
@@ -78,6 +74,8 @@ class Layer:
     deep: DeepImage | None = None
     coverage: Coverage | None = None
     median: np.ndarray | None = None
+    shadow: np.ndarray | None = None
+    passes: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def compose_layer(
@@ -122,4 +120,5 @@ def empty_layer(camera: Camera, outputs: frozenset[str] = frozenset()) -> Layer:
     layer.deep = DeepImage.empty((y1 - y0, x1 - x0)) if "deep" in outputs else None
     layer.coverage = Coverage.joined([], []) if "coverage" in outputs else None
     layer.median = layer.depth.copy() if "median" in outputs else None
+    layer.shadow = np.ones((y1 - y0, x1 - x0, 3), np.float32) if "shadow" in outputs else None
     return layer

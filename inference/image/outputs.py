@@ -11,12 +11,14 @@ from ..marching.depth_samples import DepthSamples
 from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions
 from ..scene.camera import Camera
+from ..scene.description import Surface
 from .camera_pass import STEPS_PER_TASK, tile_rays
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .deep_slices import DeepSlicer, DeepTile
 from .framebuffer import Window
 from .layer import Coverage, Layer
 from .scattered_light import TileEstimate
+from .surface_shadow import surface_shadow
 
 # Moments of light along rays that deep samples are made from.
 MOMENTS = 6
@@ -35,6 +37,7 @@ class Outputs:
     _coverage: list[Coverage] = field(default_factory=list)
     _names: Sequence[str] = ()
     _median: np.ndarray | None = None
+    _shadow: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if "median" in self.wanted:
@@ -51,6 +54,12 @@ class Outputs:
         self._names = [volume.name for volume, _ in scene.plan.volumes]
         return PassOutputs(self, context, scene, channel_pass)
 
+    def add_shadow(self, context: RenderContext, scene: PreparedScene, surfaces: Sequence[Surface]) -> None:
+        """Add the shadow of volumes on surfaces, where it is wanted. Raises Cancelled."""
+        if "shadow" in self.wanted:
+            with context.report.stage("outputs"):
+                self._shadow = surface_shadow(context, scene, list(surfaces))
+
     def complete(self, layer: Layer) -> None:
         """Add them to the layer of the whole window."""
         if "deep" in self.wanted:
@@ -62,6 +71,7 @@ class Outputs:
             layer.deep = DeepImage.joined(self.camera.window, parts)
         if "coverage" in self.wanted:
             layer.coverage = Coverage.joined(self._coverage, self._names)
+        layer.shadow = self._shadow
         if self._median is not None:
             shown = layer.alpha > 0.0
             layer.median = np.where(shown, self._median / np.where(shown, layer.alpha, 1.0), np.inf).astype(np.float32)

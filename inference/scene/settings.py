@@ -13,7 +13,7 @@ DETAIL = 1, 3, 5, 9
 ENOUGH = 96
 
 #: Names of what a layer holds on request.
-OUTPUTS = frozenset({"deep", "coverage", "median"})
+OUTPUTS = frozenset({"deep", "coverage", "median", "shadow"})
 
 
 @dataclass

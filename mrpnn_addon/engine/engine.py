@@ -24,7 +24,7 @@ from ..runtime.background import Worker
 from ..runtime.text import percent, render_status, report, utf8_names
 from ..scene.changes import keeps_volumes
 from ..scene.film import Background, read_background
-from ..scene.outputs import wanted_outputs
+from ..scene.outputs import wanted
 from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
 from ..settings.properties import scene_settings
@@ -184,7 +184,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         for warning in told:
             report(self, "WARNING", warning)
         for view, layer in finished.layers:
-            results[view.name].finish(layer, stamp(settings, layer.report, time.perf_counter() - started))
+            stamped = stamp(settings, layer.report, time.perf_counter() - started)
+            results[view.name].finish(layer, stamped, scene.wanted.metadata(view_layer.name, layer))
         self._write_deep(depsgraph, finished.layers)
         finished.seconds = time.perf_counter() - cls._asked
         remember_finished(finished)
@@ -254,7 +255,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             camera = view.camera
             background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
             result = RenderResult(self, depsgraph.view_layer, camera, background, view.name)
-            layer = empty_layer(camera, wanted_outputs(depsgraph.scene, depsgraph.view_layer))
+            asked = wanted(depsgraph.scene, depsgraph.view_layer)
+            layer = empty_layer(camera, asked.outputs)
+            asked.add_to(layer, camera)
             result.finish(layer, {})
             self._write_deep(depsgraph, [(view, layer)])
 

@@ -71,7 +71,7 @@ def render_scene(
             raise Cancelled()
 
     views = scene.views or [View("", "", scene.camera)]
-    settings = replace(settings, outputs=settings.outputs | scene.outputs)
+    settings = replace(settings, outputs=settings.outputs | scene.wanted.outputs)
     # The views share what does not depend on them.
     cache, layers = inference.RenderCache(), []
     try:
@@ -84,6 +84,7 @@ def render_scene(
                 if seen.volumes
                 else empty_layer(seen.camera, settings.outputs)
             )
+            scene.wanted.add_to(layer, seen.camera)
             layers.append((view, in_frame(layer, seen.camera, seen.crop)))
         if exr_path and progress:
             progress(1.0, "writing the file")
@@ -130,7 +131,8 @@ def _write(
         files = {view_path(path, view.suffix): [(View("", "", view.camera), layer)] for view, layer in layers}
     for file, held in files.items():
         of_views = {view.name: layer for view, layer in held}
-        write_layers(file, of_views, scene.view_layer, metadata(scene, settings, held[0][1].report), check)
+        told = metadata(scene, settings, held[0][1].report) | scene.wanted.metadata(scene.view_layer, held[0][1])
+        write_layers(file, of_views, scene.view_layer, told, check)
     return [*files, *write_deep_files(path, layers, check)]
 
 

@@ -56,8 +56,8 @@ class RenderResult:
             self._show()
             self._shown = time.monotonic()
 
-    def finish(self, layer: Layer, stamped: Mapping[str, str]) -> None:
-        """Write the whole layer with all passes. stamped: names and values for the file's metadata."""
+    def finish(self, layer: Layer, stamped: Mapping[str, str], mattes: Mapping[str, str] = {}) -> None:
+        """Write the whole layer with all passes. stamped, mattes: names and values for the file's metadata."""
         self._put(self._camera.window, rgba(layer))
         result = self._begin()
         for extra in self._extras:
@@ -67,6 +67,8 @@ class RenderResult:
         whole = self._engine.get_result()
         for name, value in stamped.items():
             stamp_field(whole, f"mrpnn.{self._view_layer.name}.{name}", value)
+        for name, value in mattes.items():
+            stamp_field(whole, name, value)
 
     def end(self) -> None:
         """Close the result; a stopped render keeps its finished parts."""

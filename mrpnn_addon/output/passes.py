@@ -10,8 +10,9 @@ import bpy
 import numpy as np
 
 from ...inference.image.layer import Layer
+from ..scene.outputs import pass_channels
 from ..settings.view_layer import pass_settings
-from .layer_frame import finite_depth
+from .layer_frame import finite, finite_depth
 
 # Cycles abbreviates pass names before 5.0.
 DIRECT, INDIRECT, EMISSION = (
@@ -47,8 +48,18 @@ def extra_passes(view_layer: "bpy.types.ViewLayer") -> list[RenderPass]:
         RenderPass(f"Combined_{group.name}", "RGB", "COLOR", functools.partial(_of_group, name=group.name))
         for group in view_layer.lightgroups
     ]
-    return [wanted for on, wanted in passes if on] + groups
+    kinds: dict[str, Literal["VALUE", "VECTOR", "COLOR"]] = {"Z": "VALUE", "XYZ": "VECTOR"}
+    others = [
+        RenderPass(name, letters, kinds.get(letters, "COLOR"), functools.partial(_pass, name=name, count=len(letters)))
+        for name, letters in pass_channels(view_layer).items()
+    ]
+    return [wanted for on, wanted in passes if on] + groups + others
 
 
 def _of_group(layer: Layer, name: str) -> np.ndarray:
     return layer.groups.get(name, np.zeros_like(layer.rgb))
+
+
+def _pass(layer: Layer, name: str, count: int) -> np.ndarray:
+    nothing = np.zeros((*layer.alpha.shape, count), np.float32)
+    return finite(layer.passes.get(name, nothing))

@@ -44,7 +44,7 @@ from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
 from .light_groups import LightGroups
 from .overlap_warnings import overlap_warnings
-from .outputs import wanted_outputs
+from .outputs import Owner, Wanted, wanted
 from .unrendered import composited
 
 NO_VOLUME = (
@@ -72,7 +72,7 @@ class SceneDescription:
     groups: which light group lights, volumes and meshes are in.
     views: what a picture shows; several where the scene is stereoscopic. `camera` is the active one. in_one_file:
         whether an OpenEXR file holds all of them.
-    outputs: what the view layer and the scene ask for besides colours, as of `Settings`.
+    wanted: what the view layer and the scene ask for besides colours.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -94,7 +94,7 @@ class SceneDescription:
     groups: LightGroups = field(default_factory=LightGroups)
     views: list[View] = field(default_factory=list)
     in_one_file: bool = False
-    outputs: frozenset[str] = frozenset()
+    wanted: Wanted = field(default_factory=Wanted)
 
     def seen_by(self, view: View) -> "SceneDescription":
         """The same scene with a view's camera. Makes the surfaces, which the views share."""
@@ -252,7 +252,7 @@ def _describe(
         ],
     )
     if space is None:
-        description.outputs = wanted_outputs(scene, layer)
+        description.wanted = wanted(scene, layer)
         description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
     reader, links = reader or VolumeReader(), LightLinks()
     for shown in visible_objects(depsgraph, space):
@@ -391,13 +391,14 @@ def _add_volume(
             pairs, warnings = reader.read(shown)
             description.volumes += pairs
             description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
+            material = first_material(shown.object)
             for volume, _ in pairs:
                 links.add_volume(shown, volume.name)
+                description.wanted.owners[volume.name] = Owner(shown.object.name, material.name if material else "")
             remember_density(shown, *max(pairs, key=lambda pair: pair[0].density.max()))
             box, channels = box_around(shown)
             description.boxes.append((box, max(channels, len(pairs))))
             description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
-            material = first_material(shown.object)
             description.warnings += [
                 *ignored_settings(shown.object, VOLUME, where),
                 *(ignored_settings(material, VOLUME_MATERIAL, f"{where}: its material") if material else []),
