@@ -4,6 +4,7 @@
 import bpy
 
 from ..mrpnn_addon.settings.view_layer import pass_settings
+from ..operators.relight import MRPNN_OT_relight
 from .engine_panel import EnginePanel
 
 
@@ -26,6 +27,9 @@ class MRPNN_PT_passes(EnginePanel, bpy.types.Panel):
         column.prop(pass_settings(view_layer), "use_pass_emission")
         column.prop(view_layer, "use_pass_shadow")
         column.prop(pass_settings(view_layer), "use_pass_uncertainty")
+        column = layout.column(heading="Lights", align=True)
+        column.prop(pass_settings(view_layer), "use_pass_lights")
+        column.operator(MRPNN_OT_relight.bl_idname, icon="NODE_COMPOSITING")
 
 
 classes = (MRPNN_PT_passes,)

@@ -26,6 +26,8 @@ from .lamp_pass import LampMeans, means_around_lamps
 STEPS_PER_TASK = 1_000_000
 # Steps of one ray above which a task would need too much memory.
 MAX_STEPS = 1 << 18
+# Opacity below this is none beside a holdout.
+HELD = 1e-5
 # Estimates of the work ahead march one pixel in PILOT x PILOT.
 PILOT = 12
 
@@ -124,7 +126,20 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         groups=None if channel_pass.whole is None else channel_pass.groups,
     )
     report.count("points", len(samples.ray))
+    _hold_out(tile.framebuffer, channel_pass, samples)
     return samples
+
+
+def _hold_out(framebuffer: Framebuffer, channel_pass: ChannelPass, samples: DepthSamples) -> None:
+    """Take the opacity of holdouts from the tile."""
+    held = channel_pass.holdouts
+    if held.any() and len(samples.ray):
+        taken = samples.weight * samples.fraction[:, held].sum(axis=1) * len(channel_pass.channels.indices) / 3.0
+        add_at(framebuffer.alpha, samples.pixel[samples.ray], -taken)
+        add_at(framebuffer.depth, samples.pixel[samples.ray], -taken * samples.distance)
+        for image in (framebuffer.alpha, framebuffer.depth):
+            # Rounding leaves a little where all of it is taken.
+            image[image < HELD] = 0.0
 
 
 def estimate_march(

@@ -159,6 +159,11 @@ class ChannelPass:
         march = self.march.through(groups)
         return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes, whole=self)
 
+    @property
+    def holdouts(self) -> np.ndarray:
+        """bool (V,): which of the media are holdouts."""
+        return np.array([bound.medium.holdout for bound in self.media], bool)
+
     def step_counts(self, rays: RayBatch) -> np.ndarray:
         """As the function of that name, for all volumes, whichever are marched through."""
         return step_counts((self.whole or self).media, rays)

@@ -157,6 +157,8 @@ class DeepSlicer:
             if segment.lamps is not None:
                 add_lamps(gathered, self._scene, self._pass, numbers, weight[span], segment.lamps.single)
         light = (gathered.single + gathered.emission).astype(np.float64)
+        held = thickness[:, self._pass.holdouts].sum(axis=1)
+        gathered.alpha *= 1.0 - held / np.maximum(thickness.sum(axis=1), 1e-30)
         of_pixel = place[ray]
         for estimate in estimates:
             members = estimate.source.members

@@ -105,12 +105,14 @@ class PassOutputs:
         count = samples.fraction.shape[1]
         pixel = samples.pixel[samples.ray]
         parts = samples.weight[:, None] * samples.fraction * self._weight
+        held = np.array([medium.holdout for _, medium in self._scene.plan.volumes])
         flat = (pixel[:, None] * count + np.arange(count)).ravel()
         pixels, of = np.unique(flat, return_inverse=True)
         share = np.bincount(of.reshape(-1), parts.ravel(), len(pixels))
-        pixels, share = pixels[share > 0.0], share[share > 0.0]
-        row, column = np.divmod(pixels // count, x1 - x0)
         volumes = np.arange(count) if samples.volumes is None else np.asarray(samples.volumes)
+        shown = (share > 0.0) & ~held[volumes[pixels % count]]
+        pixels, share = pixels[shown], share[shown]
+        row, column = np.divmod(pixels // count, x1 - x0)
         place = (row + y0 - top) * (right - left) + column + x0 - left
         return Coverage(place, volumes[pixels % count], share.astype(np.float32))
 

@@ -18,7 +18,7 @@ from ..objects.camera import film_exposure, read_views
 from ..objects.views import View
 from ..objects.visibility import visible_objects
 from ..output.frames import picture_path
-from ..output.passes import extra_passes
+from ..output.passes import RenderPass, extra_passes
 from ..runtime.atomic_write import make_folder
 from ..runtime.background import Worker
 from ..runtime.text import percent, render_status, report, utf8_names
@@ -69,7 +69,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     def update_render_passes(self, scene: "bpy.types.Scene", renderlayer: "bpy.types.ViewLayer") -> None:
         """Register the passes for the compositor."""
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
-        for extra in extra_passes(renderlayer):
+        # Blender's view layer knows no scene here, and its objects end the process.
+        for extra in extra_passes(scene, scene.view_layers[renderlayer.name]):
             self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
 
     def render(self, depsgraph: "bpy.types.Depsgraph") -> None:
@@ -166,8 +167,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         transparent = depsgraph.scene.render.film_transparent
         settings = scene_settings(depsgraph.scene).settings()
         backgrounds = [None if transparent else self._background(depsgraph, view.camera) for view in scene.views]
+        passes = _passes(depsgraph)
         results = {
-            view.name: RenderResult(self, view_layer, view.camera, background, view.name)
+            view.name: RenderResult(self, view_layer, (view.camera, background), view.name, passes)
             for view, background in zip(scene.views, backgrounds)
         }
         # Background renders need no intermediate pictures.
@@ -254,7 +256,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         for view in read_views(depsgraph)[0]:
             camera = view.camera
             background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
-            result = RenderResult(self, depsgraph.view_layer, camera, background, view.name)
+            result = RenderResult(self, depsgraph.view_layer, (camera, background), view.name, _passes(depsgraph))
             asked = wanted(depsgraph.scene, depsgraph.view_layer)
             layer = empty_layer(camera, asked.outputs)
             asked.add_to(layer, camera)
@@ -302,6 +304,11 @@ class _Progress:
         left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
         # The seconds left differ at every call.
         self._engine.say(f"{self._message}, {percent(fraction)}", left)
+
+
+def _passes(depsgraph: "bpy.types.Depsgraph") -> list[RenderPass]:
+    scene = depsgraph.scene.original
+    return extra_passes(scene, scene.view_layers[depsgraph.view_layer.name])
 
 
 def _shows_volumes(depsgraph: "bpy.types.Depsgraph") -> bool:

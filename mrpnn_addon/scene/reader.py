@@ -4,7 +4,7 @@
 import copy
 import functools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -33,6 +33,7 @@ from ..objects.visibility import (
     VisibleObject,
     hidden_from_camera,
     ignored_visibility,
+    is_holdout,
     render_objects,
     unevaluated,
     visible_objects,
@@ -42,7 +43,7 @@ from ..runtime.text import utf8_names
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
-from .light_groups import LightGroups
+from .light_groups import LightGroups, lone_lights
 from .overlap_warnings import overlap_warnings
 from .outputs import Owner, Wanted, wanted
 from .unrendered import composited
@@ -253,7 +254,9 @@ def _describe(
     )
     if space is None:
         description.wanted = wanted(scene, layer)
-        description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
+        lone = lone_lights(scene.original, scene.original.view_layers[layer.name])
+        names = [group.name for group in layer.lightgroups]
+        description.groups = LightGroups([*names, *lone.values()], lone)
     reader, links = reader or VolumeReader(), LightLinks()
     for shown in visible_objects(depsgraph, space):
         check()
@@ -269,7 +272,8 @@ def _describe(
         discs, warnings = [], _refused(description, problem)
     description.environment = bool(discs or description.environments)
     if scene.world is not None:
-        description.groups.add([*discs, *description.environments], scene.world.lightgroup)
+        lone = description.groups.lone.get(scene.world.name, "")
+        description.groups.add([*discs, *description.environments], scene.world.lightgroup, lone)
     description.suns += discs
     description.warnings += warnings
     if description.opaque:
@@ -361,7 +365,8 @@ def _add(
             lights = [lamp] if lamp else []
             description.lamps += [lamp] if lamp else []
         links.add_light(shown, lights)
-        description.groups.add(lights, *_light_groups(shown))
+        lone = description.groups.lone.get(shown.object.name, "")
+        description.groups.add(lights, *_light_groups(shown), lone)
         description.warnings += warnings
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
@@ -389,6 +394,9 @@ def _add_volume(
     if not unseen:
         try:
             pairs, warnings = reader.read(shown)
+            if is_holdout(shown, view_layer):
+                black = {"albedo": np.zeros(3), "emission": 0.0, "holdout": True}
+                pairs = [(volume, replace(medium, **black)) for volume, medium in pairs]
             description.volumes += pairs
             description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
             material = first_material(shown.object)
