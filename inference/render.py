@@ -17,7 +17,6 @@ from .image.environment_correction import correct_environments
 from .image.framebuffer import Framebuffer, Window
 from .image.lamp_pass import lamps_nearby, prepare_lamp_march
 from .image.layer import Layer, compose_layer
-from .image.outputs import Outputs
 from .image.predicted_error import expected_error
 from .image.reflected_light import open_volume, surface_light
 from .image.scattered_light import add_scattered_light
@@ -32,6 +31,7 @@ from .network.interfaces import System
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, Occluders, find_occluders
 from .occluders.seen_surfaces import vantage
+from .outputs.requested import Outputs
 from .plan.lights import without_lamps
 from .plan.plan import Channels, Plan, decide, plan_tiles, see_sky, sort_lights, sort_scene
 from .plan.savings import estimated_savings

@@ -26,7 +26,15 @@ MODULES = (
     calibration,
     shutdown,
 )
-CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *bake.classes, *documentation.classes, *relight.classes)
+CLASSES = (
+    *render.classes,
+    *check.classes,
+    *compare.classes,
+    *composite.classes,
+    *bake.classes,
+    *documentation.classes,
+    *relight.classes,
+)
 
 
 def register() -> None:

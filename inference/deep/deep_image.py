@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Deep images: for each pixel the light and the opacity of a few intervals of depth.
 
-Within a sample of opacity a, opacity grows as that of an even medium, 1 - (1 - a)^f after a fraction f of its depth, and
-colour in proportion to it ("Interpreting OpenEXR Deep Pixels", https://openexr.com/en/latest/InterpretingDeepPixels.html).
+Within a sample of opacity a, opacity grows as that of an even medium: 1 - (1 - a)^f after a fraction f of its depth.
+Colour grows in proportion to it ("Interpreting OpenEXR Deep Pixels",
+https://openexr.com/en/latest/InterpretingDeepPixels.html).
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +31,8 @@ class DeepImage:
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> "DeepImage":
         """Without any sample; shape: (H, W)."""
-        return cls(np.zeros(shape, np.int32), *np.zeros((2, 0), np.float32), np.zeros((0, 4), np.float32))
+        none = np.zeros(0, np.float32)
+        return cls(np.zeros(shape, np.int32), none, none, np.zeros((0, 4), np.float32))
 
     @classmethod
     def joined(cls, window: Window, parts: Sequence[tuple[Window, "DeepImage"]]) -> "DeepImage":
@@ -44,7 +46,10 @@ class DeepImage:
             pixels.append(np.repeat(number[place].ravel(), part.counts.ravel()))
         images = [cls.empty((0, 0)), *(part for _, part in parts)]
         order = np.argsort(np.concatenate(pixels), kind="stable")
-        return cls(counts, *(np.concatenate([getattr(one, name) for one in images])[order] for name in _SAMPLES))
+        front, back, rgba = (
+            np.concatenate([getattr(one, name) for one in images])[order] for name in ("front", "back", "rgba")
+        )
+        return cls(counts, front, back, rgba)
 
     def in_window(self, window: Window, resolution: tuple[int, int]) -> "DeepImage":
         """The same as a window of an image of (width, height) that is empty elsewhere."""
@@ -64,6 +69,3 @@ class DeepImage:
         number = np.arange(len(self.front)) - np.repeat(np.cumsum(counts) - counts, counts)
         for n in range(int(counts.max(initial=0))):
             yield np.flatnonzero(number == n)
-
-
-_SAMPLES = "front", "back", "rgba"

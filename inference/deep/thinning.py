@@ -34,8 +34,7 @@ def thinned(knots: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarra
         error = np.abs(span - share_of(depth, held[:, 0, 3], held[:, -1, 3])[..., None] * span[:, -1:])
         good = (error.max(axis=1) <= tolerance[some]).all(axis=1)
         whole[some[~good], block[~good]] = False
-        for offset in (length // 2,):
-            joined[some[good], first[good] + offset] = 0
+        joined[some[good], first[good] + length // 2] = 0
         joined[some[good], first[good]] = length
         length *= 2
     joined = joined[:, :count]

@@ -94,7 +94,9 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         single = shade.single(segment, batch, rays.pixel[span], rays.free[span])
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
-        add_marched(tile.framebuffer, scene, channel_pass, MarchedRays(rays.pixel[span], rays.share[span], segment, single))
+        add_marched(
+            tile.framebuffer, scene, channel_pass, MarchedRays(rays.pixel[span], rays.share[span], segment, single)
+        )
         if segment.lamps is not None:
             for mean in means:
                 mean.replace(segment.lamps.single, start)
@@ -191,7 +193,9 @@ class MarchedRays:
     single: np.ndarray
 
 
-def add_marched(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: MarchedRays) -> None:
+def add_marched(
+    framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: MarchedRays
+) -> None:
     """Add what a batch of rays gathered to the tile."""
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
@@ -233,9 +237,7 @@ def add_lamps(
         add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", of_lamps, light, share))
 
 
-def _means_around_lamps(
-    scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: TileRays
-) -> list[LampMeans]:
+def _means_around_lamps(scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: TileRays) -> list[LampMeans]:
     """As `means_around_lamps`, of the rays of a tile that are all of their pixels."""
     camera, (x0, y0, x1, _) = tile.camera, tile.camera.window
     rows, columns = np.divmod(rays.pixel, x1 - x0) + np.array([[y0], [x0]])

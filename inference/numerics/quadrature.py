@@ -34,7 +34,10 @@ def legendre_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def legendre_integrals(x: np.ndarray, count: int) -> np.ndarray:
-    """Integrals float64 (count, N) of the first Legendre polynomials from -1 to x (N,): (P_{d+1} - P_{d-1})/(2 d + 1)."""
+    """Integrals float64 (count, N) of the first Legendre polynomials P_d from -1 to x (N,).
+
+    They are (P_{d+1} - P_{d-1}) / (2 d + 1), and x + 1 for d = 0.
+    """
     values = np.polynomial.legendre.legvander(x, count).T
     degrees = 2.0 * np.arange(1, count)[:, None] + 1.0
     return np.concatenate([(x + 1.0)[None], (values[2:] - values[:-2]) / degrees])

@@ -65,7 +65,9 @@ class Settings:
         if unknown:
             raise SceneError(f"there is no optimization called {unknown[0]!r}; there are: {', '.join(sorted(ALL))}")
         if not self.outputs <= OUTPUTS:
-            raise SceneError(f"outputs must be among {', '.join(sorted(OUTPUTS))}, not {', '.join(sorted(self.outputs))}")
+            raise SceneError(
+                f"outputs must be among {', '.join(sorted(OUTPUTS))}, not {', '.join(sorted(self.outputs))}"
+            )
         if not self.memory_limit > 0:
             raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")
 

@@ -23,7 +23,8 @@ class RenderResult:
     """Writes one view layer's layer to Blender's render result.
 
     engine: the RenderEngine. film: the camera whose window is rendered, and a `film.Background`, None for a transparent
-    film. view: the name of one of several views. passes: besides Combined. A render that fails before the first picture shows none.
+    film. view: the name of one of several views. passes: besides Combined. A render that fails before the first picture
+    shows none.
     """
 
     def __init__(

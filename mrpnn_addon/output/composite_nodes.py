@@ -16,7 +16,13 @@ BARE = (
 )
 # Custom property with the role of each of these nodes.
 MARK = "mrpnn_composite"
-LOCATIONS = {"relight": (-300, -200), "surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
+LOCATIONS = {
+    "relight": (-300, -200),
+    "surfaces": (-600, 200),
+    "volumes": (-600, -200),
+    "over": (0, 100),
+    "nearer": (-250, 0),
+}
 TITLES = {
     "surfaces": "Surfaces by Cycles",
     "volumes": "Volumes by MRPNN",

@@ -9,8 +9,8 @@ from ...inference.image.layer import Layer
 from .exr_file import write_exr
 from .layer_frame import finite, finite_depth
 
-# Of the channels of passes that are no colours.
-LETTERS = {"Position": "XYZ"}
+# Of the channels of passes by name, and of others by their number.
+LETTERS, OF_COUNT = {"Position": "XYZ"}, {1: "Z", 3: "RGB", 4: "rgba"}
 
 
 def write_layer(
@@ -69,6 +69,8 @@ def _channels(layer: Layer) -> dict[str, np.ndarray]:
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]
     for name, values in layer.passes.items():
-        for index, letter in enumerate(LETTERS.get(name) or ("Z", "", "RGB", "rgba")[values.size // layer.alpha.size - 1]):
+        for index, letter in enumerate(
+            LETTERS.get(name) or ("Z", "", "RGB", "rgba")[values.size // layer.alpha.size - 1]
+        ):
             channels[f"{name}.{letter}"] = finite(values.reshape(*layer.alpha.shape, -1)[..., index])
     return channels

@@ -38,7 +38,7 @@ def matte_id(name: str) -> int:
     return bits ^ 1 << 23 if bits >> 23 & 255 in (0, 255) else bits
 
 
-def matte_passes(coverage: Coverage, names: Sequence[str], shape: tuple[int, int], levels: int) -> list[np.ndarray]:
+def matte_passes(coverage: Coverage, names: Sequence[str], shape: tuple[int, ...], levels: int) -> list[np.ndarray]:
     """Images float32 (H, W, 4) of two levels each: id and coverage, id and coverage.
 
     names: of each of the volumes that `coverage` names. shape: (H, W). levels: how many names a pixel holds at most,

@@ -35,8 +35,9 @@ def lone_lights(scene: "bpy.types.Scene", view_layer: "bpy.types.ViewLayer") -> 
 
 @dataclass
 class LightGroups:
-    """names: of the view layer's light groups; empty where there are none. What is in none of them is in "". lone: names
-    of groups of a single light, which are among them, by the name of its object or of the World.
+    """names: of the view layer's light groups; empty where there are none. What is in none of them is in "".
+
+    lone: names of groups of a single light, which are among them, by the name of its object or of the World.
     """
 
     names: list[str] = field(default_factory=list)

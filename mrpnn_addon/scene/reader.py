@@ -44,8 +44,8 @@ from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
 from .light_groups import LightGroups, lone_lights
-from .overlap_warnings import overlap_warnings
 from .outputs import Owner, Wanted, wanted
+from .overlap_warnings import overlap_warnings
 from .unrendered import composited
 
 NO_VOLUME = (
@@ -272,8 +272,8 @@ def _describe(
         discs, warnings = [], _refused(description, problem)
     description.environment = bool(discs or description.environments)
     if scene.world is not None:
-        lone = description.groups.lone.get(scene.world.name, "")
-        description.groups.add([*discs, *description.environments], scene.world.lightgroup, lone)
+        own = description.groups.lone.get(scene.world.name, "")
+        description.groups.add([*discs, *description.environments], scene.world.lightgroup, own)
     description.suns += discs
     description.warnings += warnings
     if description.opaque:
@@ -395,8 +395,10 @@ def _add_volume(
         try:
             pairs, warnings = reader.read(shown)
             if is_holdout(shown, view_layer):
-                black = {"albedo": np.zeros(3), "emission": 0.0, "holdout": True}
-                pairs = [(volume, replace(medium, **black)) for volume, medium in pairs]
+                black = np.zeros(3)
+                pairs = [
+                    (volume, replace(medium, albedo=black, emission=0.0, holdout=True)) for volume, medium in pairs
+                ]
             description.volumes += pairs
             description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
             material = first_material(shown.object)

@@ -118,8 +118,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     use_deep: BoolProperty(
         name="Deep EXR",
         default=False,
-        description="Write the samples of the volumes in depth, too: a deep OpenEXR file beside the picture, with _deep "
-        "after its name. A compositor of deep images merges it with other renders at any depth",
+        description="Write samples in depth, too: a deep OpenEXR file beside the picture, with _deep after its name. "
+        "A compositor of deep images merges it with other renders at any depth",
     )
 
     def settings(self) -> Settings:

@@ -43,6 +43,7 @@ ROOMS = {
         "deep",
         "render_cache",
         "image",
+        "outputs",
         "render",
         "points",
         "baking",

@@ -22,8 +22,8 @@ from tests.support.deep_compositor import seen_before
 
 CELLS = 24
 SIZE = 24, 18
-# Error, relative to the brightest value, of what shows in front of a surface: the mean one, its root mean square and the
-# largest. Networks read of a ray that ends at a surface what is in front of the surface, and predict a little otherwise.
+# Error, relative to the brightest value, of what shows in front of a surface: the mean one, its root mean square and
+# the largest. Networks read only what is in front of a surface, and predict a little otherwise.
 MEAN, RMS, LARGEST = 0.01, 0.012, 0.08
 
 

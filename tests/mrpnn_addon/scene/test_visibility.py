@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Indirect-only collections and ray visibility: volumes left out or settings ignored, and named. Holdouts leave holes."""
+"""Indirect-only collections and ray visibility: volumes left out or settings ignored, and named; holdouts."""
 
 import numpy as np
 import pytest

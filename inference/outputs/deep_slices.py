@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays cut into slices, and the light and the opacity that each adds to its pixel: deep images.
 
-Rays are cut where their opacity is a multiple of a share of the whole, and evenly. Single scattering and emission are marched through each slice by itself. Light that depth samples tell becomes a polynomial in
-the opacity of the volumes that scatter it. At last the slices of a pixel are scaled to what the layer shows there.
+Rays are cut where their opacity is a multiple of a share of the whole, and evenly. Single scattering and emission are
+marched through each slice by itself. Light that depth samples tell becomes a polynomial in the opacity of the volumes
+that scatter it. At last the slices of a pixel are scaled to what the layer shows there.
 """
 
 from collections.abc import Sequence
@@ -13,15 +14,15 @@ import numpy as np
 from ..deep.deep_image import DeepImage
 from ..deep.thinning import thinned
 from ..grids.bound_medium import BoundMedium
+from ..image.camera_pass import STEPS_PER_TASK, MarchedRays, Shading, TileRays, add_lamps, add_marched, tile_rays
+from ..image.context import ChannelPass, PreparedScene, RenderContext, Tile
+from ..image.framebuffer import Framebuffer
+from ..image.scattered_light import TileEstimate
 from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions, RaySegment
 from ..marching.ray_steps import RayBatch, step_counts
 from ..numerics.quadrature import legendre_integrals
 from ..scene.camera_rays import viewing_cosine
-from .camera_pass import STEPS_PER_TASK, MarchedRays, Shading, TileRays, add_lamps, add_marched, tile_rays
-from .context import ChannelPass, PreparedScene, RenderContext, Tile
-from .framebuffer import Framebuffer
-from .scattered_light import TileEstimate
 
 # Cuts of an opaque ray by opacity, and evenly of any ray: of what is empty or emits light.
 CUTS, EVEN_CUTS = 40, 24
@@ -71,8 +72,8 @@ class DeepTile:
         samples = np.concatenate(rgba)
         samples[:, :3] *= exposure
         samples[:, 3] = np.minimum(samples[:, 3], 1.0)
-        single = (np.concatenate(ends).astype(np.float32) for ends in (first, last))
-        return DeepImage(counts, *single, samples.astype(np.float32))
+        front, back = (np.concatenate(ends).astype(np.float32) for ends in (first, last))
+        return DeepImage(counts, front, back, samples.astype(np.float32))
 
 
 class DeepSlicer:
@@ -147,13 +148,11 @@ class DeepSlicer:
         behind = whole[ray] - before - thickness.sum(axis=1)
         gathered = Framebuffer.black(len(ray))
         shading = Shading(self._scene, self._pass, tile.camera)
-        for number, (span, segment) in enumerate(marched):
+        for span, segment in marched:
             numbers = np.arange(len(ray))[span]
             free = rays.free[some][ray[span]] * np.exp(-behind[span])
             single = shading.single(segment, pieces.take(span), pixel[ray[span]], free)
-            add_marched(
-                gathered, self._scene, self._pass, MarchedRays(numbers, weight[span], segment, single)
-            )
+            add_marched(gathered, self._scene, self._pass, MarchedRays(numbers, weight[span], segment, single))
             if segment.lamps is not None:
                 add_lamps(gathered, self._scene, self._pass, numbers, weight[span], segment.lamps.single)
         light = (gathered.single + gathered.emission).astype(np.float64)
@@ -201,8 +200,8 @@ def _told(
 ) -> np.ndarray:
     """Light (K, S) of a source's rows in slices.
 
-    pixels: int (u,), of the tile. of_pixel: int (S,), their numbers. slices: ray and first of each, as of `_sums_along`,
-    and the opacity (S,) of the source's volumes.
+    pixels: int (u,), of the tile. of_pixel: int (S,), their numbers. slices: the ray of each and the first of each ray,
+    as of `_sums_along`, and the opacity (S,) of the source's volumes.
     """
     ray, first, taken = slices
     rows = len(estimate.source.rows)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a render gives on request besides its layer's colours: deep samples, coverage by volumes, depth of the median."""
+"""What a render gives on request besides colours: deep samples, coverage by volumes, depth of the median, shadow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..deep.deep_image import DeepImage
+from ..image.camera_pass import STEPS_PER_TASK, tile_rays
+from ..image.context import ChannelPass, PreparedScene, RenderContext, Tile
+from ..image.framebuffer import Window
+from ..image.layer import Coverage, Layer
+from ..image.scattered_light import TileEstimate
 from ..marching.depth_samples import DepthSamples
 from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions
 from ..scene.camera import Camera
 from ..scene.description import Surface
-from .camera_pass import STEPS_PER_TASK, tile_rays
-from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .deep_slices import DeepSlicer, DeepTile
-from .framebuffer import Window
-from .layer import Coverage, Layer
-from .scattered_light import TileEstimate
 from .surface_shadow import surface_shadow
 
 # Moments of light along rays that deep samples are made from.
@@ -131,7 +131,8 @@ class PassOutputs:
             weight = segment.alpha * rays.share[some]
             distance = segment.depth.copy()
             distance[segment.sample_ray] = segment.sample_distance
-            np.add.at(sums, (slice(None), rays.pixel[some]), [weight * distance, weight])
+            for row, values in zip(sums, (weight * distance, weight)):
+                np.add.at(row, rays.pixel[some], values)
         mean = sums[0] / np.maximum(sums[1], 1e-30)
         window = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
         image[window] += (mean * tile.framebuffer.alpha).reshape(y1 - y0, x1 - x0).astype(np.float32)

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..image.context import PreparedScene, RenderContext
+from ..image.framebuffer import Window
+from ..image.reflected_light import lamp_light, passed_sun, shading_surfaces, sun_light, sun_visibility
 from ..occluders.depth_buffer import SAMPLES
 from ..occluders.seen_surfaces import SeenPoints
 from ..plan.lights import linking
 from ..scene.camera_rays import image_rays
 from ..scene.description import Surface
-from .context import PreparedScene, RenderContext
-from .framebuffer import Window
-from .reflected_light import lamp_light, passed_sun, shading_surfaces, sun_light, sun_visibility
 
 # Pixels whose shadow is computed at a time, and the sample points of each, of SAMPLES x SAMPLES, by column and row.
 PIXELS, POINTS = 1 << 16, ((0, 1), (2, 0), (1, 3), (3, 2))
@@ -70,9 +70,7 @@ def _seen(
     normals[towards > 0.0] *= -1.0
     # Triangles seen from beside have no point in the middle of a sample.
     distance = ((corner - origins) * normals).sum(axis=1) / np.minimum(-np.abs(towards), -1e-9)
-    seen = SeenPoints(
-        points=origins + distance[:, None] * directions, normals=normals, owner=owner[number[hit]]
-    )
+    seen = SeenPoints(points=origins + distance[:, None] * directions, normals=normals, owner=owner[number[hit]])
     return pixel[hit], seen
 
 
