@@ -15,7 +15,7 @@ HALF = 2.0**-10
 
 
 def layer_case(name: str, density: np.ndarray, thickness: float, view=None, quick: bool = False) -> Case:
-    """Samples that flatten to the layer and coverage that adds up to its alpha; thickness: optical, of a unit length."""
+    """Samples that flatten to the layer, coverage that adds up to its alpha; thickness: optical, of a unit length."""
 
     def measure():
         volume, settings = placed(density), Settings(4, outputs=OUTPUTS)
@@ -44,5 +44,7 @@ CASES = [
     *(layer_case(f"σ̂ = {s:g}", blob(), s, quick=s in (1e-6, 1e7)) for s in (1e-6, 1e-3, 1.0, 1e3, 1e7)),
     layer_case("one voxel a million times denser", one_dense_voxel(), 1e5),
     layer_case("the camera in the middle, σ̂ = 1000", blob(), 1e3, camera((0.01, 0.02, 0.03), pixels=12)),
-    layer_case("no volume in sight", blob(), 10.0, camera((0.0, 0.0, 9.0), target=(0.0, 0.0, 99.0), pixels=4), quick=True),
+    layer_case(
+        "no volume in sight", blob(), 10.0, camera((0.0, 0.0, 9.0), target=(0.0, 0.0, 99.0), pixels=4), quick=True
+    ),
 ]

@@ -66,16 +66,13 @@ SCENES = {
 }
 
 
-CACHE = RenderCache()
-
-
-def layer_of(volumes, lights, view, surfaces=(), outputs=frozenset()):
+def layer_of(volumes, lights, view, cache=None, surfaces=(), outputs=frozenset()):
     settings = Settings(depth_samples=8, outputs=outputs)
-    return render(volumes, lights, view, settings, cache=CACHE, surfaces=surfaces)
+    return render(volumes, lights, view, settings, cache=cache, surfaces=surfaces)
 
 
-def deep_layer(volumes, lights, view, surfaces=()):
-    return layer_of(volumes, lights, view, surfaces, frozenset({"deep"}))
+def deep_layer(volumes, lights, view, cache=None, surfaces=()):
+    return layer_of(volumes, lights, view, cache, surfaces, frozenset({"deep"}))
 
 
 def samples_by_pixel(deep):
@@ -99,8 +96,9 @@ def wall(view, depth):
 @pytest.mark.parametrize("name", SCENES)
 def test_samples_flatten_to_the_layer_and_are_few(name):
     volumes, lights, view = SCENES[name]
-    layer = deep_layer(volumes, lights, view)
-    plain = layer_of(volumes, lights, view)
+    cache = RenderCache()
+    layer = deep_layer(volumes, lights, view, cache)
+    plain = layer_of(volumes, lights, view, cache)
     np.testing.assert_array_equal(layer.rgb, plain.rgb)
     deep, found = layer.deep, flattened(layer.deep)
     half = deep.rgba.astype(np.float16)
@@ -121,10 +119,11 @@ def test_samples_flatten_to_the_layer_and_are_few(name):
 @pytest.mark.parametrize("name", ["sun", "camera inside", "sky", "lamp between", "emission"])
 def test_samples_in_front_of_a_surface_are_the_render_with_it(name):
     volumes, lights, view = SCENES[name]
-    layer = deep_layer(volumes, lights, view)
+    cache = RenderCache()
+    layer = deep_layer(volumes, lights, view, cache)
     brightest = layer.rgb.max()
     for depth in (2.4, 2.8) if view.world_matrix[2, 3] > 1.0 else (0.2, 0.9):
-        ended = layer_of(volumes, lights, view, [wall(view, depth)])
+        ended = layer_of(volumes, lights, view, cache, [wall(view, depth)])
         apart = flattened(layer.deep, depth) - np.concatenate([ended.rgb, ended.alpha[..., None]], axis=2)
         apart[..., :3] /= brightest
         assert np.abs(apart).mean(axis=(0, 1)).max() <= MEAN, (name, depth)
@@ -136,7 +135,7 @@ def test_surfaces_of_the_scene_end_samples_also_at_their_edges():
     volumes, lights, view = SCENES["sun"]
     corners = np.array([[[-0.3, -0.4, 0.05], [0.35, -0.3, 0.05], [0.0, 0.45, 0.05]]])
     surface = Surface(corners, "triangle", covers=True, shades=False, stops=False)
-    layer = deep_layer(volumes, lights, view, [surface])
+    layer = deep_layer(volumes, lights, view, surfaces=[surface])
     found = flattened(layer.deep)
     np.testing.assert_allclose(found[..., :3], layer.rgb, atol=1e-5 * layer.rgb.max())
     np.testing.assert_allclose(found[..., 3], layer.alpha, atol=1e-5)
