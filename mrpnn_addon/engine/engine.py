@@ -268,9 +268,11 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if all(layer.deep is None for _, layer in layers):
             return
         scene, name = depsgraph.scene, depsgraph.view_layer.name
+        # Blender renders the volumes of a composite as a still, in animations too.
+        numbered = self.is_animation or composited(scene)
         others = sum(one.use for one in scene.view_layers) > 1 and not scene.render.use_single_layer
         try:
-            path = picture_path(scene, self.is_animation, name if others else "") + ".exr"
+            path = picture_path(scene, numbered, name if others else "") + ".exr"
             make_folder(os.path.dirname(path))
             write_deep_files(path, layers, self._check)
         except (SceneError, OSError) as error:

@@ -136,6 +136,11 @@ def _write(
     return [*files, *write_deep_files(path, layers, check)]
 
 
+def deep_path(path: str) -> str:
+    """The path of the deep file beside a picture."""
+    return f"{os.path.splitext(path)[0]}_deep.exr"
+
+
 def write_deep_files(
     path: str, layers: list[tuple[View, Layer]], check: Callable[[], None] = lambda: None
 ) -> list[str]:
@@ -146,7 +151,7 @@ def write_deep_files(
     files = []
     for view, layer in layers:
         if layer.deep is not None:
-            files.append(view_path(f"{os.path.splitext(path)[0]}_deep.exr", view.suffix))
+            files.append(view_path(deep_path(path), view.suffix))
             write_deep(files[-1], layer.deep, {"mrpnn.model": layer.report.model}, check)
     return files
 

@@ -136,6 +136,22 @@ def test_render_volumes_and_the_command_write_the_same_samples(addon, scene, clo
         assert main(["render", "--deep", "--output", str(tmp_path / name)]) == 0
         assert read_deep(tmp_path / "command_deep.exr")[1] == expected
         (tmp_path / "command_deep.exr").unlink()
+    # The picture is there, and its samples are not.
+    again = ["render", "--deep", "--skip-existing", "--output", str(tmp_path / "command.exr")]
+    assert main(again) == 0 and read_deep(tmp_path / "command_deep.exr")[1] == expected
+    written = os.stat(tmp_path / "command_deep.exr").st_mtime_ns
+    assert main(again) == 0 and os.stat(tmp_path / "command_deep.exr").st_mtime_ns == written
+
+
+def test_a_composite_writes_samples_of_each_frame(scene, cloud, tmp_path):
+    bpy.ops.mrpnn.composite(shadows=False)
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.device = 1, False, "CPU"
+    scene.frame_start, scene.frame_end = 3, 4
+    scene.render.filepath = f"{tmp_path}/shot_####"
+    bpy.ops.render.render(animation=True)
+    assert sorted(path.name for path in tmp_path.glob("*deep*")) == [
+        f"volumes_shot_000{frame}_deep.exr" for frame in (3, 4)
+    ]
 
 
 def test_light_groups_share_samples_and_a_frame_without_volumes_has_none(scene, cloud, tmp_path):
