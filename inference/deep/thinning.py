@@ -28,11 +28,13 @@ def thinned(knots: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarra
         whole = whole[:, ::2] & whole[:, 1::2]
         some, block = np.nonzero(whole)
         first = starts[block]
-        inner = first[:, None] + np.arange(length + 1)
-        depth, held = knots[some[:, None], inner], before[some[:, None], inner]
-        span = held - held[:, :1]
-        error = np.abs(span - share_of(depth, held[:, 0, 3], held[:, -1, 3])[..., None] * span[:, -1:])
-        good = (error.max(axis=1) <= tolerance[some]).all(axis=1)
+        end = first + length
+        inside = first[:, None] + np.arange(1, length)
+        begun, span = before[some, first], before[some, end] - before[some, first]
+        share = share_of(knots[some[:, None], inside], (knots[some, first], knots[some, end]), begun[:, 3], span[:, 3])
+        error = before[some[:, None], inside] - begun[:, None]
+        error -= share[..., None] * span[:, None]
+        good = (np.abs(error, out=error) <= tolerance[some, None]).all(axis=(1, 2))
         whole[some[~good], block[~good]] = False
         joined[some[good], first[good] + length // 2] = 0
         joined[some[good], first[good]] = length
@@ -43,13 +45,17 @@ def thinned(knots: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return joined > 0, joined
 
 
-def share_of(depth: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Share (N, K) of a sample's light in front of depths (N, K), ascending from its front to its back.
+def share_of(
+    depth: np.ndarray, ends: tuple[np.ndarray, np.ndarray], before: np.ndarray, added: np.ndarray
+) -> np.ndarray:
+    """Share (N, K) of a sample's light in front of depths (N, K) within it.
 
-    before, after: opacity (N,) in front of it, and with it.
+    ends: where it begins and ends, (N,) each. before, added: opacity (N,) in front of it, and what it adds to that.
     """
-    extent = depth[:, -1:] - depth[:, :1]
-    fraction = np.where(extent > 0.0, (depth - depth[:, :1]) / np.where(extent > 0.0, extent, 1.0), 1.0)
-    passed = np.clip((1.0 - after) / np.maximum(1.0 - before, 1e-12), 1e-12, 1.0)[:, None]
-    opacity = 1.0 - passed
-    return np.where(opacity > 1e-9, (1.0 - passed**fraction) / np.where(opacity > 1e-9, opacity, 1.0), fraction)
+    front, back = ends
+    extent = np.where(back > front, back - front, 1.0)[:, None]
+    fraction = np.where((back > front)[:, None], (depth - front[:, None]) / extent, 1.0)
+    opacity = np.clip(added / np.maximum(1.0 - before, 1e-12), 0.0, 1.0 - 1e-12)[:, None]
+    told = opacity > 1e-9
+    grown = -np.expm1(fraction * np.log1p(-opacity)) / np.where(told, opacity, 1.0)
+    return np.where(told, grown, fraction)
