@@ -162,6 +162,8 @@ class Medium:
     emission: factor of the volume's emission, >= 0.
     phase: phase function of single scattering, None for Henyey-Greenstein. Multiple scattering depends on the mean
         cosine alone.
+    holdout: whether what it takes of light counts as none of the layer's opacity, so that it leaves a hole. Its albedo
+        and its emission are to be 0.
 
     Raises SceneError outside these ranges.
     """
@@ -171,6 +173,7 @@ class Medium:
     anisotropy: float = 0.0
     emission: float = 1.0
     phase: PhaseFunction | None = None
+    holdout: bool = False
 
     def __post_init__(self) -> None:
         self.sigma_t = rgb_triple(self.sigma_t, "extinction")

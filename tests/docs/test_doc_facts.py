@@ -56,6 +56,13 @@ FACTS = [
         ("2 * PEAK_THICKNESS",),
     ),
     (
+        "docs/understand/method-details.md",
+        r"cut at (\d+) equal steps of its opacity and at (\d+) equal",
+        "inference.outputs.deep_slices",
+        ("CUTS + 1", "EVEN_CUTS"),
+    ),
+    ("docs/use/compositing.md", r"change by less than (\S+) in front", "inference.deep.thinning", ("TOLERANCE",)),
+    (
         "docs/trust/stability.md",
         r"optically thicker than (\S+) are cut again, up to (\d+) times",
         "inference.marching.ray_steps",
