@@ -14,7 +14,6 @@ from typing import Any
 
 import bpy
 
-
 # Names of what builds of Blender may lack.
 LIBRARIES = {"OPENIMAGEDENOISE": "OpenImageDenoise"}
 
