@@ -46,12 +46,13 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
             draw_text(context, layout, f"The light of {count} volume{'s' * (count != 1)} is baked", "CHECKMARK")
         if hasattr(scene, "cycles") and scene.cycles.volume_bounces > 0 and scene.render.engine == "CYCLES":
             draw_text(context, layout, "With volume bounces, Cycles adds the light twice; set them to 0", "ERROR")
+        if not live:
+            # Beside another button, the default width would truncate it.
+            layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake What Has Changed", icon="FILE_REFRESH")
         row = layout.row(align=True)
         if not live:
-            row.operator(MRPNN_OT_bake_light.bl_idname, text="Bake What Has Changed", icon="FILE_REFRESH")
+            row.operator(MRPNN_OT_bake_light.bl_idname, text="Bake All").everything = True
         row.prop(scene, "mrpnn_live_light", toggle=True)
-        if not live:
-            layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake All").everything = True
         layout.operator(MRPNN_OT_bake_animation.bl_idname, icon="RENDER_ANIMATION")
         if scene.render.engine == "CYCLES":
             layout.operator(MRPNN_OT_bake_light_fast.bl_idname, icon="PREVIEW_RANGE")

@@ -9,7 +9,7 @@ from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
 from ..mrpnn_addon.output.composite import composite_state
 from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.scene.changes import scene_state
-from ..mrpnn_addon.scene.unrendered import Unrendered, composited, unrendered
+from ..mrpnn_addon.scene.unrendered import Unrendered, in_composite, unrendered
 from ..mrpnn_addon.settings.preferences import machine
 from ..mrpnn_addon.settings.properties import scene_settings
 from ..mrpnn_addon.status.forecast import Forecast, forecast
@@ -97,7 +97,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
                 about = "Roughly" if expected.rough else "About"
                 draw_text(context, layout, f"{about} {_duration(expected.seconds)}", "TIME")
         check = last_check()
-        if missing.surfaces and not composited(scene):
+        if missing.surfaces and not in_composite(scene):
             # Check Scene tells more about them.
             if check is None or check.outdated(scene) or not any(map(missing.names, check.warnings)):
                 for sentence in filter(None, (missing.sentence, missing.fog)):

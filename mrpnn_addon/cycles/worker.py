@@ -14,6 +14,9 @@ from typing import Any
 
 import bpy
 
+# Names of what builds of Blender may lack.
+LIBRARIES = {"OPENIMAGEDENOISE": "OpenImageDenoise"}
+
 
 def main(blend: str, folder: str) -> None:
     libraries: Any = bpy.data.libraries
@@ -38,7 +41,10 @@ def render(ask: dict, path: str) -> dict:
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     for name, value in ask["settings"].items():
         if hasattr(scene.cycles, name):
-            setattr(scene.cycles, name, value)
+            try:
+                setattr(scene.cycles, name, value)
+            except TypeError:
+                raise RuntimeError(f"this Blender was built without {LIBRARIES.get(value, value)}") from None
     scene.render.filepath = path
     wall, processor = time.perf_counter(), time.process_time()
     bpy.ops.render.render(scene=scene.name, write_still=True)

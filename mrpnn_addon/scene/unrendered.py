@@ -53,6 +53,11 @@ def composited(scene: "bpy.types.Scene") -> bool:
     return scene.path_resolve("mrpnn_composite").surfaces is not None
 
 
+def in_composite(scene: "bpy.types.Scene") -> bool:
+    """Whether F12 shows the scene's surfaces together with its volumes."""
+    return composited(scene) or scene.path_resolve("mrpnn_composite").active
+
+
 def unrendered(depsgraph: "bpy.types.Depsgraph") -> Unrendered:
     """Search the objects that renders show, without reading volumes or meshes."""
     found = Unrendered()

@@ -9,6 +9,7 @@ import bpy
 from ..nodes.material import SURFACES, materials, shows_volume
 from ..nodes.sockets import has_nodes
 from ..objects.visibility import visible_objects
+from ..scene.unrendered import in_composite
 
 LAYER, COMPOSITE, BAKED_LIGHT = "layer", "composite", "baked light"
 
@@ -54,6 +55,12 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
             BAKED_LIGHT,
             f"This scene has {listed}, which MRPNN Volumes does not render. Bake the light to render all of it with "
             "Cycles",
+        )
+    if surfaces and in_composite(scene):
+        return Recommendation(
+            COMPOSITE,
+            "Composite over Cycles renders all of this scene. Bake the light only where Cycles or EEVEE has to render "
+            "the volumes",
         )
     if surfaces:
         return Recommendation(

@@ -268,6 +268,69 @@ def bake(shot: Shot) -> None:
         check_baked(shot.package.inference, description)
 
 
+def bake_animation(shot: Shot) -> None:
+    """Bake Animation writes light for each frame that has volumes, and shows it; its removal leaves no trace."""
+    before, scene, folder = state(), shot.scene, shot.folder("light")
+    frames = range(scene.frame_start, scene.frame_end + 1)
+    call = functools.partial(bpy.ops.mrpnn.bake_animation, folder=str(folder), directional=False)
+    if refuses(shot, call):
+        return
+    assert list(folder.glob("*.vdb"))
+    for frame in frames:
+        scene.frame_set(frame)
+        for shown in [shown for shown in bpy.data.objects if "mrpnn_light" in shown and not shown.hide_render]:
+            assert shown.evaluated_get(blender_scenes.depsgraph()).data.grids.load(), f"{shown.name}, frame {frame}"
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert state() == before
+
+
+def live_light(shot: Shot) -> None:
+    """Live Light shows the light of every volume by itself, and follows lights that move; its removal leaves no trace.
+
+    Of the coarse light that comes at once; what it becomes when nothing moves is Bake Light's.
+    """
+    before, live, scene = state(), shot.package.mrpnn_addon.baking.live, shot.scene
+    description = shot.package.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph(), goes_on=True)
+    scene.mrpnn_live_light = True
+    try:
+        problem = until_shown(live, scene, len(description.volumes), set())
+        if problem:
+            assert REFUSAL in problem and is_dark(shot.row), problem
+            return
+        assert not is_dark(shot.row), "a scene without light is not refused"
+        lights = [shown for shown in scene.objects if shown.type == "LIGHT"]
+        for light in lights:
+            light.rotation_euler.x += 0.5
+            light.location.x += 0.1
+        if lights and description.volumes:
+            assert not until_shown(live, scene, len(description.volumes), shown_light())
+    finally:
+        scene.mrpnn_live_light = False
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert state() == before
+
+
+def shown_light() -> set[str]:
+    """Files of the baked light that is shown, which Blender can read."""
+    lights = [shown for shown in bpy.data.objects if "mrpnn_light" in shown]
+    assert all(shown.data.grids.load() for shown in lights)
+    return {shown.data.filepath for shown in lights}
+
+
+def until_shown(live: ModuleType, scene: "bpy.types.Scene", count: int, former: set[str]) -> str:
+    """Call the timer of Live Light until so many other files than the former are shown; gives its problem, or ""."""
+    end = time.monotonic() + 300.0
+    while len(shown_light() - former) < count or not count and "up to date" not in live.live_status(scene)[0]:
+        assert time.monotonic() < end, live.live_status(scene)
+        bpy.context.view_layer.update()
+        live.tick()
+        status, is_problem = live.live_status(scene)
+        if is_problem:
+            return status
+        time.sleep(0.005)
+    return ""
+
+
 def check_baked(inference: ModuleType, description: object) -> None:
     """Without surfaces: what they throw back is baked together with what scatters once."""
     volumes, lights, view = description.volumes, description.lights, description.camera
@@ -402,6 +465,8 @@ DOORS: dict[str, Door] = {
     "render volumes": render_volumes,
     "composite": composite,
     "bake": bake,
+    "bake animation": bake_animation,
+    "live light": live_light,
     "command render": command_render,
     "command bake": command_bake,
     "compare": compare,

@@ -42,6 +42,15 @@ def test_surfaces_need_a_composite(way, scene):
     assert way().way == "composite"
 
 
+def test_a_composite_is_not_recommended_where_there_is_one(way, scene):
+    plane(scene)
+    assert "does not render" in way().reason
+    bpy.ops.mrpnn.composite()
+    assert way().way == "composite" and "renders all of this scene" in way().reason
+    bpy.ops.mrpnn.composite_remove()
+    assert "does not render" in way().reason
+
+
 @pytest.mark.parametrize(
     "shader, values, reason",
     [

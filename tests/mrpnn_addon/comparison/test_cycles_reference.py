@@ -161,3 +161,11 @@ def test_this_blender_renders_the_test_box_and_a_wrong_alpha_would_be_refused(re
         reference.require_box_alpha(0.05)
     with pytest.raises(SceneError, match="does not render volumes correctly"):
         reference.require_box_alpha(float("nan"))
+
+
+def test_a_library_that_blender_lacks_is_named(addon, scene, tmp_path):
+    """As OpenImageDenoise in builds of some distributions; no text of Python's reaches the comparison."""
+    worker = importlib.import_module("mrpnn.mrpnn_addon.cycles.worker")
+    ask = {"scene": scene.name, "settings": {"denoiser": "NONESUCH"}}
+    with pytest.raises(RuntimeError, match="^this Blender was built without NONESUCH$"):
+        worker.render(ask, str(tmp_path / "none.exr"))
