@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes OpenEXR files: one part, float channels, ZIP-compressed scanlines.
+"""Writes OpenEXR files: one part, float or half channels, ZIP-compressed scanlines.
 
 Format: https://openexr.com/en/latest/OpenEXRFileLayout.html. Implemented with NumPy and zlib: not every Blender has an
 EXR writer for Python, and OpenEXR's package cannot be shipped, because its C functions bind to those of Blender's
@@ -19,7 +19,8 @@ from ..runtime.text import safe_text
 MAGIC = 20000630
 VERSION = 2
 LONG_NAMES = 0x400
-FLOAT_PIXELS = 2
+# Pixel types, by their size in bytes: half and float.
+PIXELS = {2: 1, 4: 2}
 ZIP_COMPRESSION = 3
 LINES_PER_BLOCK = 16
 MAX_NAME_BYTES = 255
@@ -31,7 +32,7 @@ def write_exr(
     attributes: dict[str, str | list[str] | int | float],
     check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write `channels`, float32 (H, W) each with rows from the top, under their names.
+    """Write `channels`, all float32 or all float16 (H, W) with rows from the top, under their names.
 
     attributes: written to the header as string, string vector, int and float attributes. check: called often; an
     exception that it raises stops the writing and leaves no file.
@@ -39,13 +40,13 @@ def write_exr(
     The file appears at `path` only when it is complete. Raises OSError where it cannot be written.
     """
     names = sorted(channels)
-    height, width = channels[names[0]].shape
-    header = _header(names, width, height, attributes)
+    (height, width), kind = channels[names[0]].shape, np.dtype(f"<f{channels[names[0]].itemsize}")
+    header = _header(names, kind, (width, height), attributes)
 
     def compressed(y: int) -> bytes:
         check()
         # Scanlines store one channel after another, in the order of their names: (lines, C, W).
-        rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype="<f4") for name in names]
+        rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype=kind) for name in names]
         return _block(np.stack(rows, axis=1))
 
     with ThreadPoolExecutor() as pool:
@@ -80,15 +81,18 @@ def _block(rows: np.ndarray) -> bytes:
 
 
 def _header(
-    names: Sequence[str], width: int, height: int, attributes: Mapping[str, int | float | str | list[str]]
+    names: Sequence[str],
+    kind: np.dtype,
+    size: tuple[int, int],
+    attributes: Mapping[str, int | float | str | list[str]],
 ) -> bytes:
     names, attributes = [safe_text(name) for name in names], {safe_text(name): of for name, of in attributes.items()}
     longest = max(len(name.encode()) for name in [*names, *attributes])
     if longest > MAX_NAME_BYTES:
         raise ValueError(f"EXR names hold at most {MAX_NAME_BYTES} bytes, not {longest}")
-    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    window = struct.pack("<4i", 0, 0, size[0] - 1, size[1] - 1)
     entries = [
-        ("channels", "chlist", b"".join(map(_channel, names)) + b"\0"),
+        ("channels", "chlist", b"".join(_channel(name, kind) for name in names) + b"\0"),
         ("compression", "compression", bytes([ZIP_COMPRESSION])),
         ("dataWindow", "box2i", window),
         ("displayWindow", "box2i", window),
@@ -106,9 +110,9 @@ def _header(
     return struct.pack("<ii", MAGIC, flags) + body + b"\0"
 
 
-def _channel(name: str) -> bytes:
+def _channel(name: str, kind: np.dtype) -> bytes:
     # Pixel type, linear flag with 3 reserved bytes, sampling 1 x 1.
-    return name.encode() + b"\0" + struct.pack("<iBxxxii", FLOAT_PIXELS, 0, 1, 1)
+    return name.encode() + b"\0" + struct.pack("<iBxxxii", PIXELS[kind.itemsize], 0, 1, 1)
 
 
 def _attribute(name: str, value: int | float | str | list[str]) -> tuple[str, str, bytes]:

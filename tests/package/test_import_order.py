@@ -64,6 +64,7 @@ ROOMS = {
         "engine",
         "cycles",
         "comparison",
+        "flipbook",
     ),
 }
 

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Six-way flipbooks: textures of real scenes, read back by other means."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+# After bpy: its compiled libraries must come first.
+import OpenEXR
+
+from tests.support import blender_scenes
+
+SIDES = ("right", "top", "back", "left", "bottom", "front")
+
+
+@pytest.fixture
+def smoke(scene, tmp_path):
+    """A saved scene with a sequence of three frames, the second of which has no file."""
+    for number in (1, 3):
+        density = number * blender_scenes.blob()
+        # Off the middle: right, at the top and in front have more.
+        density[:4] = density[:, :, :4] = 0.0
+        path = blender_scenes.write_vdb(tmp_path, density, blender_scenes.centred(16, 2.0))
+        shutil.move(path, tmp_path / f"fog_{number}.vdb")
+    cloud, shader = blender_scenes.add_volume(
+        scene, tmp_path / "fog_1.vdb", Density=3.0, Color=(0.9, 0.9, 0.9, 1.0), Anisotropy=0.3
+    )
+    cloud.data.is_sequence, cloud.data.frame_start, cloud.data.frame_duration = True, 1, 3
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene)
+    scene.frame_start, scene.frame_end = 1, 3
+    wanted = scene.mrpnn_flipbook
+    wanted.columns, wanted.rows, wanted.size, wanted.file_format = 2, 2, 64, "EXR"
+    wanted.filepath = str(tmp_path / "out" / "smoke")
+    scene.frame_set(2, subframe=0.25)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    return shader
+
+
+def read(path):
+    """float (H, W, 4), rows from the top, as the file holds it."""
+    if path.suffix == ".exr":
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return np.stack([file.channels()[name].pixels for name in "RGBA"], axis=2).astype(np.float32)
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(image.size[1], image.size[0], 4)[::-1]
+
+
+def written(folder):
+    return {path.name for path in (folder / "out").iterdir()}
+
+
+def flipbook():
+    assert bpy.ops.mrpnn.flipbook() == {"FINISHED"}
+
+
+def test_missing_frames_are_empty_tiles_and_the_scene_is_back_in_its_subframe(addon, scene, smoke, tmp_path, capsys):
+    flipbook()
+    assert (scene.frame_current, scene.frame_subframe) == (2, 0.25)
+    assert written(tmp_path) == {"smoke_A.exr", "smoke_B.exr", "smoke.json"}
+    first, second = read(tmp_path / "out" / "smoke_A.exr"), read(tmp_path / "out" / "smoke_B.exr")
+    assert first.shape == second.shape == (64, 64, 4)
+    tiles = [first[y : y + 32, x : x + 32] for y in (0, 32) for x in (0, 32)]
+    assert tiles[0].any() and tiles[2].any()
+    assert not tiles[1].any() and not tiles[3].any()
+    # Three times the density.
+    assert tiles[2][..., 3].sum() > 1.2 * tiles[0][..., 3].sum()
+    for tile in (tiles[0], tiles[2]):
+        assert not tile[:2].any() and not tile[-2:].any() and not tile[:, :2].any() and not tile[:, -2:].any()
+        assert tile[2:-2, 2:-2, 3].max() > 0.3
+    facts = json.loads((tmp_path / "out" / "smoke.json").read_text())
+    assert facts["frames"] == [1, 2, 3] and facts["columns"] == 2 and facts["alpha"] == "premultiplied"
+    assert "frame 2" in capsys.readouterr().out
+
+
+def test_each_map_is_a_render_with_a_sun_from_its_side(addon, scene, smoke, tmp_path):
+    """Beside F12 with a sun in the scene, turned with the camera; white matte surfaces facing it would be 1."""
+    scene.camera.location, scene.camera.rotation_euler = (3.0, -3.0, 2.0), (1.1, 0.2, 0.8)
+    scene.mrpnn_flipbook.view, scene.mrpnn_flipbook.columns, scene.mrpnn_flipbook.rows = "CAMERA", 1, 1
+    scene.mrpnn_flipbook.padding, scene.mrpnn_flipbook.size = 0, 48
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    scene.frame_start = scene.frame_end = 1
+    scene.frame_set(1)
+    scene.render.engine, scene.mrpnn.depth_samples = "MRPNN", 16
+    flipbook()
+    maps = [read(tmp_path / "out" / f"smoke_{name}.exr")[..., :3] for name in "AB"]
+    maps = dict(zip(SIDES, np.moveaxis(np.concatenate(maps, axis=2), 2, 0)))
+    sun = bpy.data.objects["Sun"]
+    sun.data.energy = np.pi
+    # Blender's suns shine along their -Z.
+    turns = {"front": (0, 0, 0), "back": (np.pi, 0, 0), "right": (0, np.pi / 2, 0), "left": (0, -np.pi / 2, 0),
+             "top": (-np.pi / 2, 0, 0), "bottom": (np.pi / 2, 0, 0)}  # fmt: skip
+    from mathutils import Euler
+
+    for side, turn in turns.items():
+        sun.matrix_world = scene.camera.matrix_world @ Euler(turn).to_matrix().to_4x4()
+        bpy.context.view_layer.update()
+        bpy.ops.mrpnn.render()
+        image = bpy.data.images["MRPNN"]
+        expected = np.array(image.pixels[:]).reshape(48, 48, 4)[::-1]
+        assert expected[..., 0].max() > 0.02
+        error = np.sqrt(np.mean((maps[side] - expected[..., 0]) ** 2)) / expected[..., 0].mean()
+        assert error < 0.03, (side, error)
+
+
+@pytest.mark.parametrize(
+    ("file_format", "ending", "step"), [("PNG", "png", 255), ("PNG16", "png", 65535), ("TGA", "tga", 255)]
+)
+def test_every_format_holds_the_same_values(addon, scene, smoke, tmp_path, file_format, ending, step):
+    scene.mrpnn_flipbook.normalized = True
+    flipbook()
+    exact = {name: read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"}
+    assert max(exact[name][..., :3].max() for name in "AB") == pytest.approx(1.0, abs=1e-3)
+    scene.mrpnn_flipbook.file_format = file_format
+    flipbook()
+    for name in "AB":
+        found = read(tmp_path / "out" / f"smoke_{name}.{ending}")
+        # Half floats have 11 bits.
+        assert np.abs(found - exact[name]).max() < 0.51 / step + 3e-4
+
+
+def test_layouts_and_straight_alpha(addon, scene, smoke, tmp_path):
+    flipbook()
+    unity = np.concatenate([read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"], axis=2)
+    scene.mrpnn_flipbook.layout = "RIGHT_LEFT_TOP"
+    flipbook()
+    other = np.concatenate([read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"], axis=2)
+    # Right, top, back, alpha, left, bottom, front, emission; then right, left, top, alpha, bottom, back, front.
+    assert np.array_equal(other, unity[..., [0, 4, 1, 3, 5, 2, 6, 7]])
+    scene.mrpnn_flipbook.layout, scene.mrpnn_flipbook.alpha = "UNITY", "STRAIGHT"
+    flipbook()
+    straight = read(tmp_path / "out" / "smoke_A.exr")
+    shown = straight[..., 3] > 0.02
+    assert np.allclose((straight[..., :3] * straight[..., 3:])[shown], unity[shown][:, :3], atol=2e-3)
+    # Filtered edges keep their colour.
+    edge = (straight[..., 3] == 0.0) & np.roll(shown, 1, axis=1)
+    assert edge.any() and straight[edge][:, :3].max(axis=1).min() > 0.0
+
+
+def test_fire_is_its_own_channel(addon, scene, smoke, tmp_path):
+    smoke.inputs["Emission Strength"].default_value = 2.0
+    smoke.inputs["Emission Color"].default_value = (1.0, 0.5, 0.1, 1.0)
+    dark = {}
+    for strength in (0.0, 2.0):
+        smoke.inputs["Emission Strength"].default_value = strength
+        flipbook()
+        dark[strength] = {name: read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"}
+    # Light maps do not hold it.
+    assert np.allclose(dark[0.0]["A"], dark[2.0]["A"], atol=2e-3)
+    colour = read(tmp_path / "out" / "smoke_emission.exr")
+    glow = dark[2.0]["B"][..., 3]
+    assert not dark[0.0]["B"][..., 3].any() and glow.max() > 0.3
+    assert np.allclose(glow, colour[..., :3] @ [0.2126, 0.7152, 0.0722], atol=2e-3)
+    assert colour.max() == pytest.approx(1.0, abs=1e-3)
+    ratio = colour[..., 1].sum() / colour[..., 0].sum()
+    assert 0.4 < ratio < 0.6
+
+
+def test_errors_leave_files_frame_and_settings(addon, scene, smoke, tmp_path):
+    scene.mrpnn_flipbook.size = 16
+    with pytest.raises(RuntimeError, match="too small"):
+        bpy.ops.mrpnn.flipbook()
+    scene.mrpnn_flipbook.size = 64
+    for shown in list(scene.objects):
+        if shown.type == "VOLUME":
+            shown.hide_render = True
+    with pytest.raises(RuntimeError, match="no frame shows a volume"):
+        bpy.ops.mrpnn.flipbook()
+    assert (scene.frame_current, scene.frame_subframe) == (2, 0.25)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_writes_what_the_operator_does(addon, scene, smoke, tmp_path, capsys):
+    flipbook()
+    expected = {name: read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"}
+    scene.mrpnn_flipbook.columns = 5
+    command = addon.operators.command.main
+    arguments = ["flipbook", "--output", str(tmp_path / "out" / "other.exr"), "--json", str(tmp_path / "facts.json")]
+    assert command([*arguments, "--frames", "1-3", "--columns", "2", "--view", "auto"]) == 0
+    for name in "AB":
+        assert np.array_equal(read(tmp_path / "out" / f"other_{name}.exr"), expected[name])
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert [frame["empty"] for frame in facts["frames"]] == [False, True, False]
+    assert (scene.frame_current, scene.frame_subframe) == (2, 0.25)
+    assert scene.mrpnn_flipbook.columns == 5
+    assert command(["flipbook", "--output", str(tmp_path / "a.png"), "--frames", "1-30"]) == 1
+    assert "30 frames do not fit into 5 x 2 tiles" in capsys.readouterr().err
+    assert command(["flipbook", "--output", str(tmp_path / "a.jpg")]) == 1
+    assert command(["flipbook", "--columns", "0"]) == 1
+    assert "must lie between 1 and 64" in capsys.readouterr().err
