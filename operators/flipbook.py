@@ -12,6 +12,7 @@ from ..inference.scene import Camera, SceneError
 from ..mrpnn_addon.flipbook.atlas import Atlas
 from ..mrpnn_addon.flipbook.flipbook import Flipbook, TileJob, WriteJob
 from ..mrpnn_addon.flipbook.framing import framing, sized, spread, visible_corners
+from ..mrpnn_addon.flipbook.preview import show_flipbook
 from ..mrpnn_addon.objects.camera import read_camera
 from ..mrpnn_addon.output.frames import frame_path
 from ..mrpnn_addon.runtime.background import Worker
@@ -46,12 +47,19 @@ def begin_flipbook(scene: "bpy.types.Scene", frames: list[int], automatic: bool 
         straight=wanted.alpha == "STRAIGHT",
         normalized=wanted.normalized,
     )
-    base = os.path.splitext(frame_path(wanted.filepath, 0, many=False))[0]
-    if not os.path.basename(base):
-        raise SceneError("the flipbook's files have no name; enter one under Files")
+    base = files_of(scene)
     fps = scene.render.fps / scene.render.fps_base
     camera = _framing(scene, frames) if wanted.view == "AUTO" else None
     return Flipbook(atlas, frames, base, wanted.file_format, camera, fps)
+
+
+def files_of(scene: "bpy.types.Scene") -> str:
+    """The absolute path of a flipbook's files without what their names end in. Raises SceneError without a name."""
+    path = flipbook_settings(scene).filepath
+    base = os.path.splitext(frame_path(path, 0, many=False))[0]
+    if not os.path.basename(path):
+        raise SceneError("the flipbook's files have no name; enter one under Files")
+    return base
 
 
 def _framing(scene: "bpy.types.Scene", frames: list[int]) -> Camera:
@@ -145,9 +153,31 @@ class MRPNN_OT_flipbook(RunsWorkers, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class MRPNN_OT_flipbook_show(bpy.types.Operator):
+    """Add a plane that shows the flipbook, with a slider for the light from each side in its material"""
+
+    bl_idname = "mrpnn.flipbook_show"
+    bl_label = "Show Flipbook"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: "bpy.types.Context") -> set[str]:
+        scene = context.scene
+        try:
+            plane = show_flipbook(scene, files_of(scene), flipbook_settings(scene).file_format)
+        except SceneError as error:
+            report(self, "ERROR", error)
+            return {"CANCELLED"}
+        for shown in context.selected_objects:
+            shown.select_set(False)
+        plane.select_set(True)
+        context.view_layer.objects.active = plane
+        report(self, "INFO", f'object "{plane.name}" shows the flipbook; its material has a slider for each side')
+        return {"FINISHED"}
+
+
 def scene_frames(scene: "bpy.types.Scene") -> list[int]:
     """The frames of an animation."""
     return list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
 
 
-classes = (MRPNN_OT_flipbook,)
+classes = (MRPNN_OT_flipbook, MRPNN_OT_flipbook_show)

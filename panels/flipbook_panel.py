@@ -4,7 +4,7 @@
 import bpy
 
 from ..mrpnn_addon.settings.flipbook import flipbook_settings
-from ..operators.flipbook import MRPNN_OT_flipbook
+from ..operators.flipbook import MRPNN_OT_flipbook, MRPNN_OT_flipbook_show
 
 
 class MRPNN_PT_flipbook(bpy.types.Panel):
@@ -25,6 +25,7 @@ class MRPNN_PT_flipbook(bpy.types.Panel):
             column.prop(settings, name)
         layout.prop(settings, "normalized")
         layout.operator(MRPNN_OT_flipbook.bl_idname, icon="RENDER_ANIMATION")
+        layout.operator(MRPNN_OT_flipbook_show.bl_idname, icon="IMAGE_PLANE")
 
 
 classes = (MRPNN_PT_flipbook,)

@@ -195,3 +195,42 @@ def test_the_command_writes_what_the_operator_does(addon, scene, smoke, tmp_path
     assert command(["flipbook", "--output", str(tmp_path / "a.jpg")]) == 1
     assert command(["flipbook", "--columns", "0"]) == 1
     assert "must lie between 1 and 64" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_sliders_relight_the_flipbook_on_its_plane(addon, scene, smoke, tmp_path):
+    """Cycles shows the plane as the sum of the maps times the sliders, over what is behind, at each frame's tile."""
+    with pytest.raises(RuntimeError, match="render it first"):
+        bpy.ops.mrpnn.flipbook_show()
+    scene.mrpnn_flipbook.padding = 0
+    for alpha in ("PREMULTIPLIED", "STRAIGHT"):
+        scene.mrpnn_flipbook.alpha = alpha
+        flipbook()
+        assert bpy.ops.mrpnn.flipbook_show() == {"FINISHED"}
+        plane = bpy.context.object
+        for shown in scene.objects:
+            shown.hide_render = shown != plane
+        scene.camera.rotation_euler = plane.rotation_euler
+        scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 2.0
+        scene.render.resolution_x = scene.render.resolution_y = 32
+        (light,) = [node for node in plane.material_slots[0].material.node_tree.nodes if node.type == "GROUP"]
+        strengths = dict(zip(SIDES, (0.5, 0.0, 1.0, 0.25, 0.0, 2.0)))
+        for side, strength in strengths.items():
+            light.inputs[side.title()].default_value = strength
+        A, B = (read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB")
+        for frame, (y, x) in ((1, (0, 0)), (3, (32, 0))):
+            scene.frame_set(frame)
+            tiles = [texture[y : y + 32, x : x + 32] for texture in (A, B)]
+            maps = np.concatenate([tile[..., :3] for tile in tiles], axis=2)
+            expected = maps @ list(strengths.values())
+            if alpha == "STRAIGHT":
+                expected = expected * tiles[0][..., 3]
+            found = blender_scenes.render_cycles(scene, tmp_path, samples=16)
+            inner = (slice(2, -2),) * 2
+            # Cycles' samples cover a pixel, and interpolate.
+            assert np.abs(found[inner][..., 0] - expected[inner]).mean() < 0.03 * expected.max()
+            assert np.abs(found[inner][..., 3] - tiles[0][inner][..., 3]).mean() < 0.03
+            assert expected[inner].max() > 0.1
+        bpy.data.objects.remove(plane)
+        for shown in scene.objects:
+            shown.hide_render = False
