@@ -2,6 +2,7 @@
 """The action of the command line that renders six-way flipbooks."""
 
 import argparse
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -43,6 +44,7 @@ def add_options(flipbook: argparse.ArgumentParser) -> None:
         ("view", ("auto", "camera"), "auto: frame the volumes of all frames; camera: the active camera"),
     ):
         flipbook.add_argument(f"--{name}", choices=values, help=what)
+    flipbook.add_argument("--angle", type=float, metavar="DEGREES", help="angular diameter of the six suns, 0 to 40")
     for name, what in (
         ("columns", "tiles in each row"),
         ("rows", "rows of tiles"),
@@ -87,6 +89,10 @@ def _properties(options: argparse.Namespace) -> Iterator[None]:
     values = {
         name: value if isinstance(value, int) else value.upper().replace("-", "_") for name, value in values.items()
     }
+    if options.angle is not None:
+        if not 0.0 <= options.angle <= 40.0:
+            raise SceneError(f"--angle must lie between 0 and 40 degrees, not {options.angle:g}")
+        values["angle"] = math.radians(options.angle)
     if options.normalize:
         values["normalized"] = True
     if options.output:

@@ -50,7 +50,7 @@ def begin_flipbook(scene: "bpy.types.Scene", frames: list[int], automatic: bool 
     base = files_of(scene)
     fps = scene.render.fps / scene.render.fps_base
     camera = _framing(scene, frames) if wanted.view == "AUTO" else None
-    return Flipbook(atlas, frames, base, wanted.file_format, camera, fps)
+    return Flipbook(atlas, frames, base, wanted.file_format, camera, wanted.angle, fps)
 
 
 def files_of(scene: "bpy.types.Scene") -> str:

@@ -18,7 +18,7 @@ class MRPNN_PT_flipbook(bpy.types.Panel):
     def draw(self, context: "bpy.types.Context") -> None:
         settings, layout = flipbook_settings(context.scene), self.layout
         layout.use_property_split, layout.use_property_decorate = True, False
-        for name in ("filepath", "file_format", "layout", "alpha", "view"):
+        for name in ("filepath", "file_format", "layout", "alpha", "view", "angle"):
             layout.prop(settings, name)
         column = layout.column(align=True)
         for name in ("columns", "rows", "size", "padding"):

@@ -44,7 +44,7 @@ def _smoke(scene: bpy.types.Scene, folder: Path) -> None:
     tree = material.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeVolumePrincipled")
-    shader.inputs["Density"].default_value = 60.0 / np.ptp(corners[:, 2])
+    shader.inputs["Density"].default_value = 150.0 / np.ptp(corners[:, 2])
     shader.inputs["Color"].default_value = (0.8, 0.8, 0.8, 1.0)
     tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Volume"])
     data.materials.append(material)
@@ -81,12 +81,13 @@ def main(options: list[str] | None = None) -> None:
             nodes = bpy.context.object.material_slots[0].material.node_tree.nodes
             (light,) = [node for node in nodes if node.type == "GROUP"]
             for name in ("Right", "Top", "Back", "Left", "Bottom", "Front"):
-                light.inputs[name].default_value = 3.0 if name == side else SKY
+                light.inputs[name].default_value = 2.0 if name == side else SKY
         lens.type, lens.ortho_scale = "ORTHO", 2.0 * len(LIT_FROM)
         scene.camera.location = (len(LIT_FROM) - 1.0, -4.0, 0.0)
         scene.world = bpy.data.worlds.new("Sky")
         scene.world.use_nodes = True
         scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.03, 0.05, 0.09, 1.0)
+        scene.view_settings.view_transform = "Standard"
         scene.render.engine = arguments.engine
         if arguments.engine == "CYCLES":
             scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.device = 16, False, "CPU"

@@ -20,8 +20,8 @@ from .texture_files import FORMATS, write_texture
 @dataclass
 class Flipbook:
     """frames: numbers, in order. base: absolute path of the files without what their names end in. file_format: a key
-    of FORMATS. camera: of all frames, or None for each frame's own. fps: of the scene. tiles: of the frames so far, by
-    number; None for one that stays empty. warnings: of all of it.
+    of FORMATS. camera: of all frames, or None for each frame's own. angle: angular diameter of the suns, radians. fps: of
+    the scene. tiles: of the frames so far, by number; None for one that stays empty. warnings: of all of it.
     """
 
     atlas: Atlas
@@ -29,6 +29,7 @@ class Flipbook:
     base: str
     file_format: str
     camera: Camera | None = None
+    angle: float = 0.0
     fps: float = 24.0
     tiles: dict[int, Tile | None] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
@@ -59,7 +60,7 @@ class Flipbook:
         tile = None
         if scene.volumes:
             try:
-                tile = render_tile(scene, settings, progress, cancelled)
+                tile = render_tile(scene, settings, self.angle, progress, cancelled)
             except SceneError as problem:
                 self.warn(f"frame {scene.frame} is an empty tile: {problem}")
         elif not any(text.startswith(f"frame {scene.frame} ") for text in self.warnings):
@@ -107,6 +108,7 @@ class Flipbook:
             "alpha": "straight" if atlas.straight else "premultiplied",
             "frames": self.frames,
             "fps": self.fps,
+            "light_angle": self.angle,
             "light_scale": made.scale,
             "emission_scale": made.emission_scale,
             "motion_scale": made.motion_scale,

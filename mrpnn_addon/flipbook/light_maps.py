@@ -47,10 +47,13 @@ class Tile:
 def render_tile(
     scene: SceneDescription,
     settings: Settings,
+    angle: float = 0.0,
     progress: Callable[[float, str], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Tile:
     """The light maps of a scene as its camera sees it, whose own lights are left out.
+
+    angle: angular diameter of the suns, radians. What six maps cannot tell, light between the sides, is then smoother.
 
     Three suns share a render: a sun that shines in one colour channel only is alone in this channel of the picture,
     because the media are made grey. Raises SceneError, and Cancelled when `cancelled()` returns True.
@@ -71,7 +74,7 @@ def render_tile(
     def suns(number: int) -> Iterator[Sun]:
         for channel in range(3):
             side = 3 * number + channel
-            yield Sun(towards[side], IRRADIANCE * np.eye(3)[channel], list(SIDES)[side])
+            yield from soft_sun(towards[side], IRRADIANCE * np.eye(3)[channel], angle, list(SIDES)[side])
 
     try:
         lit = [render(number, list(suns(number)), volumes) for number in range(2)]

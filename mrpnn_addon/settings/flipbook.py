@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of six-way flipbooks: `scene.mrpnn_flipbook`."""
 
+import math
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from .properties import RELATIVE_PATH
 
@@ -59,6 +60,15 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
             ("CAMERA", "Camera", "The active camera, as wide as its picture"),
         ],
         description="What a tile shows",
+    )
+    angle: FloatProperty(
+        name="Light Angle",
+        default=math.radians(40.0),
+        min=0.0,
+        max=math.radians(40.0),
+        subtype="ANGLE",
+        description="Angular diameter of the six suns. Softer ones err less where the engine's light comes from between "
+        "them; 0 gives the hardest shadows",
     )
     columns: IntProperty(name="Columns", default=8, min=1, max=64, description="Tiles in each row of the textures")
     rows: IntProperty(name="Rows", default=8, min=1, max=64, description="Rows of tiles in the textures")

@@ -84,7 +84,7 @@ def test_each_map_is_a_render_with_a_sun_from_its_side(addon, scene, smoke, tmp_
     """Beside F12 with a sun in the scene, turned with the camera; white matte surfaces facing it would be 1."""
     scene.camera.location, scene.camera.rotation_euler = (3.0, -3.0, 2.0), (1.1, 0.2, 0.8)
     scene.mrpnn_flipbook.view, scene.mrpnn_flipbook.columns, scene.mrpnn_flipbook.rows = "CAMERA", 1, 1
-    scene.mrpnn_flipbook.padding, scene.mrpnn_flipbook.size = 0, 48
+    scene.mrpnn_flipbook.padding, scene.mrpnn_flipbook.size, scene.mrpnn_flipbook.angle = 0, 48, 0.0
     scene.render.resolution_x = scene.render.resolution_y = 48
     scene.frame_start = scene.frame_end = 1
     scene.frame_set(1)
