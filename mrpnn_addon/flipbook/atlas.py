@@ -95,16 +95,18 @@ def textures(atlas: Atlas, tiles: Sequence[Tile | None]) -> Textures:
     glow = max((float(tile.emission.max()) for tile in shown), default=0.0)
     scale = 1.0 / brightest if atlas.normalized and brightest > 0.0 else 1.0
     images: dict[str, np.ndarray] = {}
-    alpha = atlas.place([tile and tile.alpha[..., None] for tile in tiles], 1)
+    alpha = atlas.place([None if tile is None else tile.alpha[..., None] for tile in tiles], 1)
     names, clipped = list(SIDES), 0.0
 
     def colours(values: np.ndarray) -> np.ndarray:
         return straight_colours(values, alpha) if atlas.straight else values
 
-    emission = atlas.place([tile and tile.emission for tile in tiles], 3) / (glow or 1.0)
+    emission = atlas.place([None if tile is None else tile.emission for tile in tiles], 3) / (glow or 1.0)
     for name, sides, last in zip("AB", LAYOUTS[atlas.layout], (alpha, emission @ LUMA.astype(np.float32)[:, None])):
         order = [names.index(side) for side in sides]
-        maps = colours(atlas.place([tile and tile.maps[..., order] for tile in tiles], 3) * np.float32(scale))
+        maps = colours(
+            atlas.place([None if tile is None else tile.maps[..., order] for tile in tiles], 3) * np.float32(scale)
+        )
         clipped = max(clipped, float((maps > 1.0 + 1e-6).any(axis=2).sum() / max((alpha > 0.0).sum(), 1)))
         images[name] = np.concatenate([maps, last], axis=2)
     if glow > 0.0:

@@ -20,8 +20,8 @@ from .texture_files import FORMATS, write_texture
 @dataclass
 class Flipbook:
     """frames: numbers, in order. base: absolute path of the files without what their names end in. file_format: a key
-    of FORMATS. camera: of all frames, or None for each frame's own. angle: angular diameter of the suns, radians. fps: of
-    the scene. tiles: of the frames so far, by number; None for one that stays empty. warnings: of all of it.
+    of FORMATS. camera: of all frames, or None for each frame's own. angle: angular diameter of the suns, radians.
+    fps: of the scene. tiles: of the frames so far, by number; None for one that stays empty. warnings: of all of it.
     """
 
     atlas: Atlas

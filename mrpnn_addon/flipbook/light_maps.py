@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Six-way light maps: a volume lit by one sun at a time, from six sides of the camera. Imports no bpy."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ... import inference
 from ...inference.image.layer import Layer
-from ...inference.scene import Medium, SceneError, Settings, Sun, Volume
+from ...inference.scene import Medium, SceneError, Settings, Sun, Volume, soft_sun
 from ...inference.scene.environment import LUMA
 from ...inference.scene.sparse_grid import SparseGrid
 from ..scene.reader import SceneDescription
@@ -99,12 +99,17 @@ def grey(medium: Medium) -> Medium:
     else:
         scattering = float(LUMA @ (medium.sigma_t * medium.albedo))
         albedo = scattering / extinction if extinction > 0.0 else float(LUMA @ medium.albedo)
-    return replace(medium, sigma_t=extinction, albedo=albedo)
+    return replace(medium, sigma_t=np.full(3, extinction), albedo=albedo)
 
 
 def _weighted(grids: tuple) -> np.ndarray | SparseGrid:
     if isinstance(grids[0], SparseGrid):
-        return grids[0].with_values(_weighted(tuple(grid.values for grid in grids)))
+        return grids[0].with_values(_mean([grid.values for grid in grids]))
+    return _mean(grids)
+
+
+def _mean(grids: Sequence[np.ndarray]) -> np.ndarray:
+    """The luminance of the values of three colour channels, at most 1."""
     return np.clip(sum(np.float32(weight) * grid for weight, grid in zip(LUMA, grids)), 0.0, 1.0)
 
 

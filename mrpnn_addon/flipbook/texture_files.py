@@ -7,7 +7,7 @@ Formats: https://www.w3.org/TR/png-3/, Truevision TGA File Format Specification 
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -40,14 +40,14 @@ def write_texture(path: str, pixels: np.ndarray, file_format: str, check: Callab
             file.write(block)
 
 
-def _tga(values: np.ndarray, bits: int):
+def _tga(values: np.ndarray, bits: int) -> Iterator[bytes]:
     """Uncompressed true-colour image, 8 of its 32 bits alpha, rows from the top."""
     height, width = values.shape[:2]
     yield struct.pack("<BBBHHBHHHHBB", 0, 0, 2, 0, 0, 0, 0, 0, width, height, 4 * bits, 0x20 | bits)
     yield np.ascontiguousarray(values[..., [2, 1, 0, 3]]).tobytes()
 
 
-def _png(values: np.ndarray, bits: int):
+def _png(values: np.ndarray, bits: int) -> Iterator[bytes]:
     height, width = values.shape[:2]
     yield b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 6, 0, 0, 0))
     # Gamma 1: the values are linear.

@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
 
@@ -17,7 +18,7 @@ class KeptFrame:
     def restore(self) -> None:
         """Go back there, unless the scene is there still or is gone."""
         name, frame, subframe = self._place
-        scene = bpy.data.scenes.get(name)
+        scene: Any = bpy.data.scenes.get(name)
         if scene is not None and (scene.frame_current, scene.frame_subframe) != (frame, subframe):
             scene.frame_set(frame, subframe=subframe)
 

@@ -67,8 +67,8 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
         min=0.0,
         max=math.radians(40.0),
         subtype="ANGLE",
-        description="Angular diameter of the six suns. Softer ones err less where the engine's light comes from between "
-        "them; 0 gives the hardest shadows",
+        description="Angular diameter of the six suns. Softer ones err less where the engine's light comes from "
+        "between them; 0 gives the hardest shadows",
     )
     columns: IntProperty(name="Columns", default=8, min=1, max=64, description="Tiles in each row of the textures")
     rows: IntProperty(name="Rows", default=8, min=1, max=64, description="Rows of tiles in the textures")

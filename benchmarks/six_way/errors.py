@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How far six-way light maps are from renders, for suns between their six sides.
 
-    python -m benchmarks.fidelity.six_way [--size 64] [--directions 5]
+    python -m benchmarks.six_way.errors [--size 64] [--directions 5]
 
-Each row is a real volume in one phase function, with suns of one angular diameter. A picture is recombined from the maps for suns in directions drawn from
-a seed, as game engines do, and compared with a render with this sun: relative RMSE inside the volume, its mean and its
-largest value, and the mean bias. *From a side* is the same for suns from the six sides, where nothing is interpolated.
-The last column is the expected error of the renders themselves.
+Each row is a real volume in one phase function, with suns of one angular diameter. A picture is recombined from the
+maps for suns in directions drawn from a seed, as game engines do, and compared with a render with this sun: relative
+RMSE inside the volume, its mean and its largest value, and the mean bias. *From a side* is the same for suns from the
+six sides, where nothing is interpolated. The last column is the expected error of the renders themselves.
 """
 
 import argparse
@@ -14,12 +14,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..fidelity.real_volumes import FILES, real_density
 from ..support.data import volume_file
 from ..support.extension import extension
 from ..support.provenance import made_by
-from .real_volumes import FILES, real_density
 
-PROGRAM = "benchmarks.fidelity.six_way"
+PROGRAM = "benchmarks.six_way.errors"
 SIGMA_HAT, ALBEDO = 100.0, 0.9
 ANISOTROPIES = 0.0, 0.6
 VOLUMES = "openvdb-smoke", "smoke-wind", "torus"

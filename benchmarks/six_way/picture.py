@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The picture of docs/use/six-way.md: smoke from a flipbook on planes, lit from another side on each.
 
-    python -m benchmarks.fidelity.six_way_picture [--out docs/images/six-way.png] [--engine CYCLES]
+    python -m benchmarks.six_way.picture [--out docs/images/six-way.png] [--engine CYCLES]
 
 Made with the extension's own operators in Blender's module: Render Flipbook, Show Flipbook, and the sliders. Cycles
 renders the planes, or EEVEE where there is a graphics driver.
@@ -59,7 +59,7 @@ def _smoke(scene: bpy.types.Scene, folder: Path) -> None:
 
 def main(options: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.fidelity.six_way_picture",
+        prog="python -m benchmarks.six_way.picture",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
