@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Processor seconds of a flipbook, and what the six light maps of a frame cost beside a render with one sun.
 
-    python -m benchmarks.six_way.cost [--frames 4] [--edge 128] [--depth-samples 2]
+    python -m benchmarks.six_way.cost [--frames 4] [--edge 128] [--depth-samples 4]
 
 A Blender simulation of smoke (51 x 49 x 98 voxels), denser from frame to frame, so that no frame reuses another's work.
 """
@@ -25,8 +25,8 @@ def main(options: list[str] | None = None) -> None:
     )
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--edge", type=int, default=128, help="of a tile, pixels")
-    parser.add_argument("--depth-samples", type=int, default=2)
-    parser.add_argument("--angle", type=float, default=40.0, help="of the suns, degrees")
+    parser.add_argument("--depth-samples", type=int, default=4)
+    parser.add_argument("--angle", type=float, default=0.0, help="of the suns, degrees")
     arguments = parser.parse_args(options)
     addon = extension()
     inference, maps_of = addon.inference, addon.mrpnn_addon.flipbook.light_maps

@@ -24,8 +24,8 @@ SIGMA_HAT, ALBEDO = 100.0, 0.9
 ANISOTROPIES = 0.0, 0.6
 VOLUMES = "openvdb-smoke", "smoke-wind", "torus"
 SEED = 56
-# Of the suns, degrees: the default and the least.
-ANGLES = 40, 0
+# Of the suns, degrees: the default and the largest.
+ANGLES = 0, 40
 HEAD = ("volume", "anisotropy", "light angle", "mean error", "largest", "bias", "from a side", "of the render")
 
 

@@ -73,14 +73,12 @@ class Atlas:
 @dataclass
 class Textures:
     """images: by what the file's name ends in, float32 (H, W, 4). scale: by which light maps are multiplied.
-    emission_scale: by which the radiance of the emission is divided. motion_scale: movement that the motion vectors'
-    1 stands for, in widths of a tile per frame. clipped: fraction of the light maps' texels above 1.
+    emission_scale: by which the radiance of the emission is divided. clipped: share of the light maps' texels above 1.
     """
 
     images: dict[str, np.ndarray]
     scale: float
     emission_scale: float
-    motion_scale: float
     clipped: float
 
 
@@ -88,7 +86,7 @@ def textures(atlas: Atlas, tiles: Sequence[Tile | None]) -> Textures:
     """The textures of a flipbook; None leaves a tile empty.
 
     "A" holds three light maps and alpha, "B" three light maps and the luminance of the emission. "emission" holds its
-    colour, where there is any. "motion" holds motion vectors, 0.5 at rest, up positive.
+    colour, where there is any.
     """
     shown = [tile for tile in tiles if tile is not None]
     brightest = max((float(tile.maps.max()) for tile in shown), default=0.0)
@@ -111,13 +109,7 @@ def textures(atlas: Atlas, tiles: Sequence[Tile | None]) -> Textures:
         images[name] = np.concatenate([maps, last], axis=2)
     if glow > 0.0:
         images["emission"] = np.concatenate([emission, np.ones_like(alpha)], axis=2)
-    moving = [tile.motion for tile in shown if tile.motion is not None]
-    fastest = max((float(np.abs(motion).max()) for motion in moving), default=0.0)
-    if moving:
-        placed = atlas.place([None if tile is None else tile.motion for tile in tiles], 2)
-        encoded = 0.5 + 0.5 * placed / np.float32(fastest or 1.0)
-        images["motion"] = np.concatenate([encoded, np.full_like(alpha, 0.5), np.ones_like(alpha)], axis=2)
-    return Textures(images, scale, glow or 1.0, fastest, clipped)
+    return Textures(images, scale, glow or 1.0, clipped)
 
 
 def straight_colours(values: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -111,7 +111,6 @@ class Flipbook:
             "light_angle": self.angle,
             "light_scale": made.scale,
             "emission_scale": made.emission_scale,
-            "motion_scale": made.motion_scale,
         }
 
 

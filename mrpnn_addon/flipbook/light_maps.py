@@ -34,14 +34,12 @@ class Tile:
     """One frame, rows from the top, premultiplied by alpha.
 
     maps: float32 (H, W, 6), radiance for a sun from each of SIDES, over that of a white matte surface which faces it.
-    alpha: float32 (H, W). emission: float32 (H, W, 3), radiance of light that the volumes emit. motion: float32 (H, W,
-    2), mean movement of what is seen, to the right and up, in widths of the tile per frame; None where it is unknown.
+    alpha: float32 (H, W). emission: float32 (H, W, 3), radiance of light that the volumes emit.
     """
 
     maps: np.ndarray
     alpha: np.ndarray
     emission: np.ndarray
-    motion: np.ndarray | None = None
 
 
 def render_tile(

@@ -16,8 +16,8 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
         default="//flipbook",
         subtype="FILE_PATH",
         options=RELATIVE_PATH,
-        description="Beginning of the files' names. The textures are called _A and _B, and _emission and _motion where "
-        "there is any",
+        description="Beginning of the files' names. The textures are called _A and _B, and _emission where something "
+        "glows",
     )
     file_format: EnumProperty(
         name="Format",
@@ -63,12 +63,11 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
     )
     angle: FloatProperty(
         name="Light Angle",
-        default=math.radians(40.0),
         min=0.0,
         max=math.radians(40.0),
         subtype="ANGLE",
-        description="Angular diameter of the six suns. Softer ones err less where the engine's light comes from "
-        "between them; 0 gives the hardest shadows",
+        description="Angular diameter of the six suns. Softer ones suit smoke of high Anisotropy: light from "
+        "between them errs less",
     )
     columns: IntProperty(name="Columns", default=8, min=1, max=64, description="Tiles in each row of the textures")
     rows: IntProperty(name="Rows", default=8, min=1, max=64, description="Rows of tiles in the textures")

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.window import NEEDS_WINDOW
 
-pytestmark = [NEEDS_WINDOW, pytest.mark.newest]
+pytestmark = NEEDS_WINDOW
 
 START = "with over(area('VIEW_3D')): bpy.ops.mrpnn.flipbook('INVOKE_DEFAULT')"
 WORKING = "[t for t in threading.enumerate() if t.name.startswith('mrpnn')]"
@@ -20,6 +20,7 @@ scene.frame_set(7, subframe=0.5)
 FILES = "import os; print(sorted(os.listdir(WORK + '/flipbook')) if os.path.isdir(WORK + '/flipbook') else [])"
 
 
+@pytest.mark.newest
 def test_a_flipbook_is_rendered_shown_and_stopped(window):
     window.do(STAGE)
     window.do(START)

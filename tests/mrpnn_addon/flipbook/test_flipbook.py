@@ -35,7 +35,7 @@ def smoke(scene, tmp_path):
     scene.frame_start, scene.frame_end = 1, 3
     wanted = scene.mrpnn_flipbook
     wanted.columns, wanted.rows, wanted.size, wanted.file_format = 2, 2, 64, "EXR"
-    wanted.filepath = str(tmp_path / "out" / "smoke")
+    wanted.filepath, scene.mrpnn.depth_samples = str(tmp_path / "out" / "smoke"), 1
     scene.frame_set(2, subframe=0.25)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     return shader
@@ -80,11 +80,12 @@ def test_missing_frames_are_empty_tiles_and_the_scene_is_back_in_its_subframe(ad
     assert "frame 2" in capsys.readouterr().out
 
 
+@pytest.mark.slow(seconds=30)
 def test_each_map_is_a_render_with_a_sun_from_its_side(addon, scene, smoke, tmp_path):
     """Beside F12 with a sun in the scene, turned with the camera; white matte surfaces facing it would be 1."""
     scene.camera.location, scene.camera.rotation_euler = (3.0, -3.0, 2.0), (1.1, 0.2, 0.8)
     scene.mrpnn_flipbook.view, scene.mrpnn_flipbook.columns, scene.mrpnn_flipbook.rows = "CAMERA", 1, 1
-    scene.mrpnn_flipbook.padding, scene.mrpnn_flipbook.size, scene.mrpnn_flipbook.angle = 0, 48, 0.0
+    scene.mrpnn_flipbook.padding, scene.mrpnn_flipbook.size = 0, 48
     scene.render.resolution_x = scene.render.resolution_y = 48
     scene.frame_start = scene.frame_end = 1
     scene.frame_set(1)
@@ -110,40 +111,52 @@ def test_each_map_is_a_render_with_a_sun_from_its_side(addon, scene, smoke, tmp_
         assert error < 0.03, (side, error)
 
 
-@pytest.mark.parametrize(
-    ("file_format", "ending", "step"), [("PNG", "png", 255), ("PNG16", "png", 65535), ("TGA", "tga", 255)]
-)
-def test_every_format_holds_the_same_values(addon, scene, smoke, tmp_path, file_format, ending, step):
-    scene.mrpnn_flipbook.normalized = True
-    flipbook()
-    exact = {name: read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"}
-    assert max(exact[name][..., :3].max() for name in "AB") == pytest.approx(1.0, abs=1e-3)
-    scene.mrpnn_flipbook.file_format = file_format
-    flipbook()
-    for name in "AB":
-        found = read(tmp_path / "out" / f"smoke_{name}.{ending}")
-        # Half floats have 11 bits.
-        assert np.abs(found - exact[name]).max() < 0.51 / step + 3e-4
+def tiles(addon, count):
+    """Tiles of 12 x 12 pixels, premultiplied, the second one empty."""
+    random = np.random.default_rng(7)
+    alpha = random.uniform(0.1, 1.0, (count, 12, 12)).astype(np.float32)
+    alpha[:, :, :3] = 0.0
+    maps = random.uniform(0.0, 1.5, (count, 12, 12, 6)).astype(np.float32) * alpha[..., None]
+    made = [addon.mrpnn_addon.flipbook.light_maps.Tile(maps[n], alpha[n], 0.0 * maps[n, ..., :3]) for n in range(count)]
+    made[1] = None
+    return made
 
 
-def test_layouts_and_straight_alpha(addon, scene, smoke, tmp_path):
-    flipbook()
-    unity = np.concatenate([read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"], axis=2)
-    scene.mrpnn_flipbook.layout = "RIGHT_LEFT_TOP"
-    flipbook()
-    other = np.concatenate([read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"], axis=2)
+def packed(addon, **options):
+    atlas = addon.mrpnn_addon.flipbook.atlas
+    return atlas.textures(atlas.Atlas(columns=2, rows=2, tile=16, padding=2, **options), tiles(addon, 3))
+
+
+@pytest.mark.parametrize(("file_format", "step"), [("PNG", 255), ("PNG16", 65535), ("TGA", 255), ("EXR", 4096)])
+def test_blender_reads_every_format_as_it_was_written(addon, scene, tmp_path, file_format, step):
+    files = addon.mrpnn_addon.flipbook.texture_files
+    made = packed(addon, normalized=True)
+    assert max(made.images[name][..., :3].max() for name in "AB") == pytest.approx(1.0)
+    expected = made.images["A"]
+    path = tmp_path / f"a{files.FORMATS[file_format][0]}"
+    files.write_texture(str(path), expected, file_format)
+    assert np.abs(read(path) - expected).max() < 0.51 / step
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_layouts_and_straight_alpha(addon):
+    unity = packed(addon)
+    both = np.concatenate([unity.images["A"], unity.images["B"]], axis=2)
+    assert unity.clipped > 0.1 and both.shape == (32, 32, 8)
     # Right, top, back, alpha, left, bottom, front, emission; then right, left, top, alpha, bottom, back, front.
-    assert np.array_equal(other, unity[..., [0, 4, 1, 3, 5, 2, 6, 7]])
-    scene.mrpnn_flipbook.layout, scene.mrpnn_flipbook.alpha = "UNITY", "STRAIGHT"
-    flipbook()
-    straight = read(tmp_path / "out" / "smoke_A.exr")
-    shown = straight[..., 3] > 0.02
-    assert np.allclose((straight[..., :3] * straight[..., 3:])[shown], unity[shown][:, :3], atol=2e-3)
+    other = packed(addon, layout="RIGHT_LEFT_TOP").images
+    assert np.array_equal(np.concatenate([other["A"], other["B"]], axis=2), both[..., [0, 4, 1, 3, 5, 2, 6, 7]])
+    straight = packed(addon, straight=True).images["A"]
+    shown = straight[..., 3] > 0.0
+    assert np.allclose((straight[..., :3] * straight[..., 3:])[shown], both[shown][:, :3], atol=1e-5)
     # Filtered edges keep their colour.
-    edge = (straight[..., 3] == 0.0) & np.roll(shown, 1, axis=1)
+    edge = ~shown & np.roll(shown, 1, axis=1)
     assert edge.any() and straight[edge][:, :3].max(axis=1).min() > 0.0
+    for padding in (slice(0, 2), slice(14, 18), slice(30, 32)):
+        assert not both[padding].any() and not both[:, padding].any()
 
 
+@pytest.mark.slow(seconds=15)
 def test_fire_is_its_own_channel(addon, scene, smoke, tmp_path):
     smoke.inputs["Emission Strength"].default_value = 2.0
     smoke.inputs["Emission Color"].default_value = (1.0, 0.5, 0.1, 1.0)
@@ -177,6 +190,7 @@ def test_errors_leave_files_frame_and_settings(addon, scene, smoke, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow(seconds=15)
 def test_the_command_writes_what_the_operator_does(addon, scene, smoke, tmp_path, capsys):
     flipbook()
     expected = {name: read(tmp_path / "out" / f"smoke_{name}.exr") for name in "AB"}
@@ -197,7 +211,7 @@ def test_the_command_writes_what_the_operator_does(addon, scene, smoke, tmp_path
     assert "must lie between 1 and 64" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.slow(seconds=40)
 def test_sliders_relight_the_flipbook_on_its_plane(addon, scene, smoke, tmp_path):
     """Cycles shows the plane as the sum of the maps times the sliders, over what is behind, at each frame's tile."""
     with pytest.raises(RuntimeError, match="render it first"):
