@@ -10,6 +10,8 @@ pytestmark = NEEDS_WINDOW
 START = "with over(area('VIEW_3D')): bpy.ops.mrpnn.flipbook('INVOKE_DEFAULT')"
 WORKING = "[t for t in threading.enumerate() if t.name.startswith('mrpnn')]"
 STAGE = """
+import shutil
+shutil.rmtree(WORK + "/flipbook", ignore_errors=True)
 scene = bpy.context.scene
 wanted = scene.mrpnn_flipbook
 wanted.columns = wanted.rows = 2
