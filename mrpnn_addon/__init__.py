@@ -18,6 +18,7 @@ Packages import only those above them in this list; `tests/package/test_import_o
     engine      the render engine, its viewport, and render jobs
     cycles      path-traced references by Cycles
     comparison  MRPNN against Cycles: plan, job, report
+    flipbook    six-way light maps for games and relighting
 
 bpy is called on Blender's main thread only; what other threads need is read there first.
 """

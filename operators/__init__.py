@@ -8,15 +8,17 @@ from ..mrpnn_addon.engine import engine
 from ..mrpnn_addon.output import composite as composite_scene
 from ..mrpnn_addon.runtime import shutdown
 from ..mrpnn_addon.scene import changes
+from ..mrpnn_addon.settings import flipbook as flipbook_settings
 from ..mrpnn_addon.settings import properties, view_layer
 from ..mrpnn_addon.status import calibration, file_watch
-from . import bake, check, command, compare, composite, documentation, relight, render
+from . import bake, check, command, compare, composite, documentation, flipbook, relight, render
 
 # Registered in this order and removed in the opposite one: settings first, the command line last. `shutdown` ends all
 # threads before anything is removed that they might use.
 MODULES = (
     properties,
     view_layer,
+    flipbook_settings,
     changes,
     file_watch,
     engine,
@@ -32,6 +34,7 @@ CLASSES = (
     *compare.classes,
     *composite.classes,
     *bake.classes,
+    *flipbook.classes,
     *documentation.classes,
     *relight.classes,
 )

@@ -25,6 +25,7 @@ from ..mrpnn_addon.baking.light_sequence import LightSequence
 from ..mrpnn_addon.objects.visibility import visible_objects
 from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import report
+from ..mrpnn_addon.scene.kept_frame import kept_frame
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
@@ -124,7 +125,7 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
     bl_idname = "mrpnn.bake_animation"
     bl_label = "Bake Animation"
     bl_options = {"REGISTER", "UNDO"}
-    work, doing = "bake", "baking"
+    work, doing, visits_frames = "bake", "baking", True
 
     _loading: SceneLoading | None = None
     _sequence: LightSequence
@@ -136,10 +137,11 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         """Bake while Blender waits."""
         try:
             self._prepare(context.scene)
-            for frame in self._frames:
-                context.scene.frame_set(frame)
-                description = read_frame(context.evaluated_depsgraph_get(), goes_on=True)
-                self._take(bake_scene(description, self._settings, self._sequence.target))
+            with kept_frame(context.scene):
+                for frame in self._frames:
+                    context.scene.frame_set(frame)
+                    description = read_frame(context.evaluated_depsgraph_get(), goes_on=True)
+                    self._take(bake_scene(description, self._settings, self._sequence.target))
         except (SceneError, OSError) as error:
             return self.fail(error)
         return self.finish(context)
@@ -186,7 +188,6 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
     def finish(self, context: "bpy.types.Context") -> set[str]:
         """Show the light."""
         frames = self._sequence.frames
-        context.scene.frame_set(self._frame)
         if any(one.volumes for one in frames):
             show_sequence(context.scene, frames)
         for warning in dict.fromkeys(warning for one in frames for warning in one.warnings):
@@ -198,17 +199,8 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
         return {"FINISHED"}
 
-    def fail(self, error: Exception) -> set[str]:
-        """Report the error; what is baked stays for the next bake."""
-        bpy.context.scene.frame_set(self._frame)
-        return super().fail(error)
-
-    def stopped(self, context: "bpy.types.Context") -> None:
-        """Go back to the frame before."""
-        context.scene.frame_set(self._frame)
-
     def _prepare(self, scene: "bpy.types.Scene") -> None:
-        self._frame, self._seconds, self._began = scene.frame_current, [], time.perf_counter()
+        self._seconds, self._began = [], time.perf_counter()
         # It would bake each frame once more, and show that alone.
         switched: Any = scene
         switched.mrpnn_live_light = False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: render, bake, compare, report.
+"""The command line: render, bake, flipbook, compare, report.
 
 blender -b scene.blend --command mrpnn render --output //cloud_####.exr --frames 1-10
 blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render --output cloud.exr
@@ -21,7 +21,8 @@ from ..mrpnn_addon.baking.light_folder import FOLDER
 from ..mrpnn_addon.comparison.run import REPORT_FOLDER
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.runtime.json_file import write_json
-from . import command_actions
+from ..mrpnn_addon.scene.kept_frame import kept_frame
+from . import command_actions, command_flipbook
 from .command_frames import error_message
 from .console import Console
 
@@ -44,7 +45,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog=f"blender -b FILE.blend --command {COMMAND}")
     actions = parser.add_subparsers(
-        dest="action", required=True, metavar="render|bake|compare|report", parser_class=_Parser
+        dest="action", required=True, metavar="render|bake|flipbook|compare|report", parser_class=_Parser
     )
 
     render = actions.add_parser("render", help="render the scene's volumes to files")
@@ -80,6 +81,9 @@ def _parser() -> argparse.ArgumentParser:
     bake.add_argument("--fast", action="store_true", help="with --save: settings with which Cycles shows it fast, too")
     bake.add_argument("--no-directions", action="store_true", help="the light as the camera sees it, only")
 
+    flipbook = actions.add_parser("flipbook", help="render six-way light maps into textures for game engines")
+    command_flipbook.add_options(flipbook)
+
     compare = actions.add_parser("compare", help="measure the layer against Cycles on the same view")
     compare.add_argument(
         "--samples",
@@ -114,7 +118,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="percent of the resolution")
 
     report = actions.add_parser("report", help="describe what a render would do, without rendering")
-    for action in (render, bake, report):
+    for action in (render, bake, flipbook, report):
         action.add_argument(
             "--strict",
             action=argparse.BooleanOptionalAction,
@@ -125,7 +129,7 @@ def _parser() -> argparse.ArgumentParser:
     for action in (compare, report):
         action.add_argument("--frame", type=_whole, metavar="N", help="the file's current frame without it")
 
-    for action in (render, bake, compare, report):
+    for action in (render, bake, flipbook, compare, report):
         action.add_argument(
             "--json",
             metavar="FILE",
@@ -213,7 +217,8 @@ def main(arguments: Sequence[str]) -> int:
         options = _parser().parse_args(arguments)
         console = Console(machine=options.progress == "json")
         found["action"] = options.action
-        getattr(command_actions, options.action)(options, console, found)
+        with kept_frame(bpy.context.scene):
+            getattr(command_actions, options.action)(options, console, found)
         error = None
     except SystemExit:  # argparse after --help
         return 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The actions of the command line: render frames, bake their light, compare one with Cycles, report on a scene."""
+"""The actions of the command line: render frames, bake them, compare one with Cycles, report on a scene, and more."""
 
 import argparse
 import os
@@ -25,6 +25,7 @@ from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.scene.reader import SceneDescription
 from ..mrpnn_addon.settings.properties import scene_settings
 from .bake import bake_warnings, light_frames, make_fast
+from .command_flipbook import render_flipbook
 from .command_frames import each_frame, frame_reader, require_none
 from .console import Console
 
@@ -129,6 +130,12 @@ def bake(options: argparse.Namespace, console: Console, found: dict) -> None:
         found["save"] = path
         console.event("saved", f"Saved: '{path}'", file=path)
     require_none(failed, frames)
+
+
+def flipbook(options: argparse.Namespace, console: Console, found: dict) -> None:
+    """Render six-way light maps of the frames into textures."""
+    with _overridden(options) as settings:
+        render_flipbook(options, settings, console, found)
 
 
 def compare(options: argparse.Namespace, console: Console, found: dict) -> None:

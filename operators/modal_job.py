@@ -8,6 +8,7 @@ import bpy
 from ..inference.scene import SceneError
 from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import percent, report, status_bar
+from ..mrpnn_addon.scene.kept_frame import KeptFrame
 
 TICK_INTERVAL = 0.1
 
@@ -18,11 +19,13 @@ _working: dict[str, Worker] = {}
 class RunsWorkers:
     """Mixin of an operator.
 
-    work: what it does, such as "bake", of which one runs at a time. doing: the same, such as "baking".
+    work: what it does, such as "bake", of which one runs at a time. doing: the same, such as "baking". visits_frames:
+    whether it goes to other frames; the scene is back in its own at the end, also after Esc and errors.
     """
 
-    work, doing = "", ""
+    work, doing, visits_frames = "", "", False
     _timer: Any = None
+    _frame: KeptFrame | None = None
 
     def next_worker(self, context: "bpy.types.Context", done: Any) -> Worker | None:
         """The worker to run after the one that is done, which is None at first; None at the end. Raises SceneError."""
@@ -46,11 +49,16 @@ class RunsWorkers:
         if self.work in _working:
             report(self, "WARNING", f"MRPNN is {self.doing} already; Esc stops it")
             return {"CANCELLED"}
+        self._frame = KeptFrame(context.scene) if self.visits_frames else None
         try:
             worker = self.next_worker(context, None)
-        except (SceneError, OSError) as error:
-            return self.fail(error)
+        except BaseException as error:
+            self._go_back()
+            if isinstance(error, (SceneError, OSError)):
+                return self.fail(error)
+            raise
         if worker is None:
+            self._go_back()
             return self.finish(context)
         _working[self.work] = worker
         manager, operator = context.window_manager, cast(Any, self)
@@ -89,13 +97,9 @@ class RunsWorkers:
             raise
         self._end(context)
         if worker.stopped:
-            self.stopped(context)
             report(self, "INFO", f"MRPNN {self.work} stopped")
             return {"CANCELLED"}
         return self.finish(context)
-
-    def stopped(self, context: "bpy.types.Context") -> None:
-        """Called after Esc."""
 
     def cancel(self, context: "bpy.types.Context") -> None:
         """Called by Blender where it ends the operator itself, as when it closes or loads a file."""
@@ -104,8 +108,13 @@ class RunsWorkers:
         worker.wait()
         self._end(context)
 
+    def _go_back(self) -> None:
+        if self._frame is not None:
+            self._frame.restore()
+
     def _end(self, context: "bpy.types.Context") -> None:
         del _working[self.work]
+        self._go_back()
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
         status_bar(context, None)

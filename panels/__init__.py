@@ -6,6 +6,7 @@ import bpy
 from . import (
     camera_panel,
     composite_panel,
+    flipbook_panel,
     light_bake_panel,
     light_group_panel,
     light_panel,
@@ -36,6 +37,7 @@ CLASSES = (
     _parent,
     *composite_panel.classes,
     *light_bake_panel.classes,
+    *flipbook_panel.classes,
     *_children,
     *(panel for module in MODULES for panel in module.classes),
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes OpenEXR files: one part, float channels, ZIP-compressed scanlines.
+"""Writes OpenEXR files: one part, float or half channels, ZIP-compressed scanlines.
 
 Format: https://openexr.com/en/latest/OpenEXRFileLayout.html. Implemented with NumPy and zlib: not every Blender has an
 EXR writer for Python, and OpenEXR's package cannot be shipped, because its C functions bind to those of Blender's
@@ -32,7 +32,7 @@ def write_exr(
     attributes: dict[str, str | list[str] | int | float],
     check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write `channels`, float32 (H, W) each with rows from the top, under their names.
+    """Write `channels`, all float32 or all float16 (H, W) with rows from the top, under their names.
 
     attributes: written to the header as string, string vector, int and float attributes. check: called often; an
     exception that it raises stops the writing and leaves no file.
@@ -40,13 +40,14 @@ def write_exr(
     The file appears at `path` only when it is complete. Raises OSError where it cannot be written.
     """
     names = sorted(channels)
-    height, width = channels[names[0]].shape
-    header = exr_header(dict.fromkeys(names, FLOAT_PIXELS), (width, height), attributes)
+    (height, width), kind = channels[names[0]].shape, np.dtype(f"<f{channels[names[0]].itemsize}")
+    pixels = HALF_PIXELS if kind.itemsize == 2 else FLOAT_PIXELS
+    header = exr_header(dict.fromkeys(names, pixels), (width, height), attributes)
 
     def compressed(y: int) -> bytes:
         check()
         # Scanlines store one channel after another, in the order of their names: (lines, C, W).
-        rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype="<f4") for name in names]
+        rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype=kind) for name in names]
         return packed(np.stack(rows, axis=1).tobytes())
 
     with ThreadPoolExecutor() as pool:

@@ -416,6 +416,35 @@ def run_command(shot: Shot, *arguments: str) -> dict:
     return found
 
 
+def flipbook(shot: Shot) -> None:
+    """Light maps are there whatever the scene's own lights are, a frame without a volume is empty, and the operator and
+    the command write the same.
+    """
+    scene, folder = shot.scene, shot.folder("flipbook")
+    wanted, before = scene.mrpnn_flipbook, (scene.frame_current, scene.frame_subframe)
+    wanted.columns, wanted.rows, wanted.size, wanted.padding, wanted.file_format = 2, 1, 48, 2, "EXR"
+    wanted.view = "CAMERA"
+    wanted.filepath = str(folder / "maps")
+    try:
+        bpy.ops.mrpnn.flipbook()
+    except RuntimeError as error:
+        panorama = scene.camera.data.type == "PANO"
+        assert ("light maps need" if panorama else "no frame shows a volume") in str(error), error
+        return
+    assert scene.camera.data.type != "PANO", "light maps of a panorama"
+    assert (scene.frame_current, scene.frame_subframe) == before
+    facts = run_command(shot, "flipbook", "--output", str(folder / "command.exr"))
+    for name in "AB":
+        picture, command = (
+            np.stack([read_picture(folder / f"{base}_{name}.exr").channels[letter] for letter in "RGBA"], axis=-1)
+            for base in ("maps", "command")
+        )
+        check_range(name, picture)
+        check_same(f"the command's {name}", command, picture, SAME)
+    missing = shot.row["volume"] == "sequence with a gap" and shot.row["placement"] != "overlapping"
+    assert facts["frames"][1]["empty"] or not missing
+
+
 def compare(shot: Shot) -> None:
     """Compare with Cycles comes to its report."""
     folder = shot.folder("comparison")
@@ -469,6 +498,7 @@ DOORS: dict[str, Door] = {
     "live light": live_light,
     "command render": command_render,
     "command bake": command_bake,
+    "flipbook": flipbook,
     "compare": compare,
     "cycles' alpha": check_alpha,
 }

@@ -66,6 +66,7 @@ ROOMS = {
         "engine",
         "cycles",
         "comparison",
+        "flipbook",
     ),
 }
 
