@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The gallery's page, docs/use/gallery.md, of pictures and figures that the docs hold."""
+
+from pathlib import Path
+
+from PIL import Image
+
+from benchmarks.support.pages import DOCS, IMAGES, TABLES, csv_text, read_csv, replace
+from benchmarks.support.provenance import made_by
+
+from .scenes import SCENES
+
+PAGE, PICTURES, TABLE = DOCS / "use" / "gallery.md", IMAGES / "gallery", TABLES / "gallery.csv"
+COLUMNS = (
+    "scene", "way", "pixels", "picture's seconds", "seconds", "Cycles' seconds", "Cycles' samples", "made by",
+)  # fmt: skip
+QUALITY = 88
+WAYS = {
+    "layer": "engine *MRPNN Volumes*",
+    "composite": "[*Composite over Cycles*](compositing.md)",
+    "bake": "[*Bake Light*](baked-light.md), shown by Cycles",
+}
+HEAD = """# Gallery
+
+Eleven scenes of the kinds that artists light: use them as a start, or to see what a setting does. Scripts make the
+volumes and the .blend files, so that each clone can make them:
+
+    .venv/bin/python -m gallery noon
+    .venv/bin/python -m gallery --templates
+
+The first command makes one scene and its picture, in `build/gallery`. The second makes all, and
+`build/gallery/mrpnn-gallery.zip`. Install that file with the Blender icon's menu > *Install Application Template*. *File >
+New* then lists the scenes. Install [the extension](install.md) first.
+
+Some pictures have a smaller one below, beside Cycles with 1024 bounces, denoised, in about the same processor seconds.
+Cycles has at least one sample per pixel, even where that takes longer.
+"""
+
+
+def enter(name: str, out: Path, figures: dict, arguments) -> None:
+    """Put a scene's pictures and figures from a folder into the docs."""
+    PICTURES.mkdir(exist_ok=True)
+    for path in (out / f"{name}.png", out / f"{name}-cycles.png"):
+        if path.exists():
+            with Image.open(path) as image:
+                image.convert("RGB").save(PICTURES / f"{path.stem}.jpg", quality=QUALITY, optimize=True)
+    rows = {row["scene"]: row for row in read_csv(TABLE)} if TABLE.exists() else {}
+    known = {key: value for key, value in rows.get(name, {}).items() if value}
+    rows[name] = {**known, "scene": name, **figures, "made by": made_by("gallery", arguments)}
+    ordered = [[rows[key].get(column, "") for column in COLUMNS] for key in SCENES if key in rows]
+    replace(TABLE, csv_text([], COLUMNS, ordered))
+
+
+def text() -> str:
+    """The page."""
+    parts = [HEAD]
+    for row in read_csv(TABLE):
+        name, entry = row["scene"], SCENES[row["scene"]]
+        pixels = row["pixels"].replace("x", "×")
+        said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row["picture's seconds"]}"
+        parts.append(
+            f"## {entry.title}\n\n![{entry.title}](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
+        )
+        if row["seconds"]:
+            samples = f"{row["Cycles' samples"]} sample"
+            samples += "" if samples.startswith("1 ") else "s"
+            alt = f"{entry.title}: this extension, and Cycles with {samples}"
+            parts.append(f"![{alt}](../images/gallery/{name}-cycles.jpg)\n\nCycles has {samples} per pixel here.\n")
+    parts.append("All figures are in [gallery.csv](../tables/gallery.csv), with the commands that made them.\n")
+    return "\n".join(parts)
+
+
+def write() -> None:
+    """Write the page."""
+    replace(PAGE, text())
