@@ -3,7 +3,6 @@
 
 from pathlib import Path
 
-import bpy
 import numpy as np
 
 from training.procedural.noise import Fractal, Swirl
