@@ -11,9 +11,8 @@ from benchmarks.support.provenance import made_by
 from .scenes import SCENES
 
 PAGE, PICTURES, TABLE = DOCS / "use" / "gallery.md", IMAGES / "gallery", TABLES / "gallery.csv"
-COLUMNS = (
-    "scene", "way", "pixels", "picture's seconds", "seconds", "Cycles' seconds", "Cycles' samples", "made by",
-)  # fmt: skip
+PICTURE_SECONDS, SAMPLES = "picture's seconds", "Cycles' samples"
+COLUMNS = ("scene", "way", "pixels", PICTURE_SECONDS, "seconds", "Cycles' seconds", SAMPLES, "made by")
 QUALITY = 88
 WAYS = {
     "layer": "engine *MRPNN Volumes*",
@@ -29,8 +28,8 @@ volumes and the .blend files, so that each clone can make them:
     .venv/bin/python -m gallery --templates
 
 The first command makes one scene and its picture, in `build/gallery`. The second makes all, and
-`build/gallery/mrpnn-gallery.zip`. Install that file with the Blender icon's menu > *Install Application Template*. *File >
-New* then lists the scenes. Install [the extension](install.md) first.
+`build/gallery/mrpnn-gallery.zip`. Install that file from the menu of the Blender icon: *Install Application Template*.
+*File > New* then lists the scenes. Install [the extension](install.md) first.
 
 Some pictures have a smaller one below, beside Cycles with 1024 bounces, denoised, in about the same processor seconds.
 Cycles has at least one sample per pixel, even where that takes longer.
@@ -57,12 +56,12 @@ def text() -> str:
     for row in read_csv(TABLE):
         name, entry = row["scene"], SCENES[row["scene"]]
         pixels = row["pixels"].replace("x", "×")
-        said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row["picture's seconds"]}"
+        said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row[PICTURE_SECONDS]}"
         parts.append(
             f"## {entry.title}\n\n![{entry.title}](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
         )
         if row["seconds"]:
-            samples = f"{row["Cycles' samples"]} sample"
+            samples = f"{row[SAMPLES]} sample"
             samples += "" if samples.startswith("1 ") else "s"
             alt = f"{entry.title}: this extension, and Cycles with {samples}"
             parts.append(f"![{alt}](../images/gallery/{name}-cycles.jpg)\n\nCycles has {samples} per pixel here.\n")

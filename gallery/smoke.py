@@ -124,7 +124,7 @@ def explosion(folder: Path, detail: float):
     shader.inputs["Blackbody Intensity"].default_value = 150.0
     shader.inputs["Temperature"].default_value = 1900.0
     stage.sun((-0.8, -0.35, 0.5), 4.0, (1.0, 0.8, 0.62))
-    stage.sky((0.0, (0.28, 0.24, 0.24)), (0.3, (0.1, 0.13, 0.2)), (1.0, (0.03, 0.05, 0.1)))
-    stage.camera((0.0, -4.4, 0.45), (0.0, 0.0, 0.85), 46.0)
+    stage.sky((0.0, (0.2, 0.15, 0.13)), (0.3, (0.06, 0.08, 0.12)), (1.0, (0.02, 0.03, 0.06)))
+    stage.camera((0.0, -3.9, 0.5), (0.0, 0.0, 0.78), 42.0)
     scene.frame_set(8)
     return scene
