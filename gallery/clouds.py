@@ -56,7 +56,7 @@ def dusk(folder: Path, detail: float):
     water = stage.plane("Sea", 60.0)
     shader = stage.material(water.data, "BsdfPrincipled", Base_Color=(0.005, 0.015, 0.025), Roughness=0.05, IOR=1.33)
     stage.ripples(shader, scale=2.2, height=0.05)
-    stage.camera((-0.4, -4.2, 0.45), (-0.05, 1.5, 1.02), 44.0)
+    stage.camera((-0.4, -5.0, 0.4), (-0.05, 1.5, 1.3), 44.0)
     return scene
 
 
@@ -121,7 +121,11 @@ def storm(folder: Path, detail: float):
     stage.lamp("POINT", (0.22, -0.52, 0.8), 45.0, (0.55, 0.68, 1.0), shadow_soft_size=0.05)
     stage.lamp("POINT", (-0.75, -0.42, 0.5), 12.0, (0.65, 0.7, 1.0), shadow_soft_size=0.05)
     stage.sky(
-        (0.0, (0.32, 0.16, 0.13)), (0.08, (0.14, 0.11, 0.16)), (0.4, (0.025, 0.04, 0.1)), (1.0, (0.01, 0.015, 0.05))
+        (0.0, (0.32, 0.16, 0.13)),
+        (0.08, (0.14, 0.11, 0.16)),
+        (0.4, (0.025, 0.04, 0.1)),
+        (1.0, (0.01, 0.015, 0.05)),
+        strength=0.5,
     )
     stage.camera((0.0, -6.6, -0.1), (0.1, 0.0, 1.22), 48.0)
     return scene

@@ -32,10 +32,10 @@ def fog(folder: Path, detail: float):
     for item in built:
         stage.material(item.data, "BsdfDiffuse", **STONE)
     air = stage.box("Fog", (-1.99, -5.9, 0.005), (1.99, 5.99, 3.99))
-    stage.material(air.data, "VolumePrincipled", "Volume", Density=0.11, Color=(0.95, 0.95, 0.95), Anisotropy=0.55)
-    stage.sun((-1.0, 0.55, 0.8), 28.0, (1.0, 0.82, 0.6))
-    stage.even_world((0.35, 0.5, 0.8), 0.4)
-    stage.camera((0.75, -5.6, 1.3), (-0.35, 2.0, 1.75), 62.0)
+    stage.material(air.data, "VolumePrincipled", "Volume", Density=0.13, Color=(0.95, 0.95, 0.95), Anisotropy=0.55)
+    stage.sun((-1.0, 0.55, 0.8), 75.0, (1.0, 0.8, 0.55))
+    stage.even_world((0.35, 0.5, 0.8), 0.7)
+    stage.camera((0.8, -4.6, 1.2), (-0.45, 2.0, 1.7), 66.0)
     return scene
 
 

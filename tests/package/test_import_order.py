@@ -18,6 +18,7 @@ PACKAGES = {
     "panels": ("operators", "mrpnn_addon", "inference"),
     "training": ("inference",),
     "benchmarks": ("tests", "training", "mrpnn_addon", "inference"),
+    "gallery": ("benchmarks", "packages", "training", "mrpnn_addon"),
 }
 # Modules that exist only inside Blender.
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
