@@ -14,6 +14,15 @@ PAGE, PICTURES, TABLE = DOCS / "use" / "gallery.md", IMAGES / "gallery", TABLES 
 PICTURE_SECONDS, SAMPLES = "picture's seconds", "Cycles' samples"
 COLUMNS = ("scene", "way", "pixels", PICTURE_SECONDS, "seconds", "Cycles' seconds", SAMPLES, "made by")
 QUALITY = 88
+#: README's pictures in their order, the size of each and how many are side by side; and the steps of the workflow.
+SHEET = "storm", "dusk", "nebula", "inside", "milk", "stage", "fire", "fog", "noon", "explosion", "plume"
+TILE, COLUMNS_SHOWN = (400, 225), 3
+STEPS = {
+    "engine-menu": "1. Choose the engine",
+    "panel": "2. Look before rendering",
+    "viewport": "3. Light the volume in Rendered shading",
+    "render": "4. Press F12",
+}
 WAYS = {
     "layer": "engine *MRPNN Volumes*",
     "composite": "[*Composite over Cycles*](compositing.md)",
@@ -69,6 +78,28 @@ def text() -> str:
     return "\n".join(parts)
 
 
+def sheet() -> Image.Image:
+    """The pictures that the docs hold, side by side in rows, but for SHEET's last that do not fill one."""
+    shown = [PICTURES / f"{name}.jpg" for name in SHEET if (PICTURES / f"{name}.jpg").exists()]
+    rows = len(shown) // COLUMNS_SHOWN
+    (width, height), gap = TILE, 4
+    made = Image.new("RGB", (COLUMNS_SHOWN * (width + gap) - gap, rows * (height + gap) - gap))
+    for number, path in enumerate(shown[: rows * COLUMNS_SHOWN]):
+        with Image.open(path) as image:
+            tile = image.resize(TILE, Image.LANCZOS)
+        made.paste(tile, (number % COLUMNS_SHOWN * (width + gap), number // COLUMNS_SHOWN * (height + gap)))
+    return made
+
+
+def steps() -> Image.Image:
+    """The workflow in four screenshots, which tests of windows take."""
+    from benchmarks.support.pictures import row
+
+    return row([(caption, Image.open(IMAGES / f"{name}.png")) for name, caption in STEPS.items()], 260, 15)
+
+
 def write() -> None:
-    """Write the page."""
+    """Write the page, and the pictures of README that are made of others."""
     replace(PAGE, text())
+    sheet().save(IMAGES / "gallery.jpg", quality=QUALITY, optimize=True)
+    steps().save(IMAGES / "workflow.jpg", quality=QUALITY, optimize=True)
