@@ -19,8 +19,8 @@ SHEET = "storm", "dusk", "nebula", "inside", "milk", "stage", "fire", "fog", "no
 TILE, COLUMNS_SHOWN = (400, 225), 3
 STEPS = {
     "engine-menu": "1. Choose the engine",
-    "panel": "2. Look before rendering",
-    "viewport": "3. Light the volume in Rendered shading",
+    "panel": "2. Check",
+    "viewport": "3. Light it in Rendered shading",
     "render": "4. Press F12",
 }
 WAYS = {
