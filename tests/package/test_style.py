@@ -32,7 +32,7 @@ def test_modules_state_their_licence():
     assert len(modules) > 300 and not missing
 
 
-PACKAGES = "inference", "mrpnn_addon", "operators", "panels", "training", "benchmarks", "gallery"
+PACKAGES = "inference", "evaluation", "mrpnn_addon", "operators", "panels", "training", "benchmarks", "gallery"
 
 
 @pytest.mark.parametrize("package", PACKAGES)
