@@ -41,13 +41,13 @@ class _LightProperties:
         subtype="DIR_PATH",
         default=FOLDER,
         options=RELATIVE_PATH,
-        description="Folder of the .vdb files with the light. Without a saved .blend file, a temporary one",
+        description="Folder for the .vdb files of the light. Until the .blend file is saved, a temporary folder",
     )
     directional: BoolProperty(
         name="Other Directions",
         default=True,
-        description="Also bake how the light differs from other directions than the camera's: for mirrors, glass, and "
-        "cameras that move",
+        description="Also bake the light in directions other than the camera's: for mirrors, glass, "
+        "and cameras that move",
     )
 
 
@@ -234,9 +234,8 @@ class MRPNN_OT_bake_light_remove(bpy.types.Operator):
 
 
 class MRPNN_OT_bake_light_fast(bpy.types.Operator):
-    """Set what is right and fast in Cycles with baked light, which has little noise: longer steps through volumes in
-    Blender 4, denoising, and a single sample where the scene shows nothing but volumes. Remove Baked Light restores the
-    settings"""
+    """Set up Cycles to render baked light quickly: denoising, longer steps through volumes in Blender 4, and a single
+    sample where the scene shows nothing but volumes. Remove Baked Light restores the settings"""
 
     bl_idname = "mrpnn.bake_light_fast"
     bl_label = "Fast Cycles Settings"
@@ -282,8 +281,8 @@ def light_frames(frames: list[int]) -> list[int]:
 def warn_of_temporary(reporter: Any, folder: str) -> None:
     """Tell where light is that goes when Blender ends."""
     if not bpy.data.filepath and folder.startswith("//"):
-        text = "the .blend file is not saved: the light is in a temporary folder, gone when Blender ends"
-        report(reporter, "WARNING", text)
+        text = "the .blend file is not saved, so the light is in a temporary folder"
+        report(reporter, "WARNING", f"{text}; save the file and bake again to keep it")
 
 
 def _count(volumes: list) -> str:

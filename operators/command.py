@@ -78,8 +78,8 @@ def _parser() -> argparse.ArgumentParser:
         "--folder", default=FOLDER, metavar="FOLDER", help="of the .vdb files; // is the .blend file's folder"
     )
     bake.add_argument("--save", metavar="FILE", help=".blend file to write that shows the light")
-    bake.add_argument("--fast", action="store_true", help="with --save: settings with which Cycles shows it fast, too")
-    bake.add_argument("--no-directions", action="store_true", help="the light as the camera sees it, only")
+    bake.add_argument("--fast", action="store_true", help="with --save: also apply Fast Cycles Settings to that file")
+    bake.add_argument("--no-directions", action="store_true", help="bake only the light that the camera sees")
 
     flipbook = actions.add_parser("flipbook", help="render six-way light maps into textures for game engines")
     command_flipbook.add_options(flipbook)

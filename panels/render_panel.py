@@ -47,11 +47,8 @@ class MRPNN_PT_render(_RenderPanel, bpy.types.Panel):
         layout, settings = self.layout, scene_settings(context.scene)
         layout.operator(MRPNN_OT_render.bl_idname, icon="RENDER_STILL")
         layout.row().prop(settings, "preset", expand=True)
-        _split(layout).prop(settings, "model")
-        # Names inside the fields: beside them, the default width would truncate them.
-        column = layout.column(align=True)
-        column.prop(settings, "depth_samples")
-        column.prop(settings, "seed")
+        # The name inside the field: beside it, the default width would truncate it.
+        layout.prop(settings, "depth_samples")
         _draw_last(context, layout, last_render())
 
 
@@ -203,9 +200,20 @@ def _draw_preferred(context: "bpy.types.Context", layout: "bpy.types.UILayout", 
     draw_text(context, layout, f"{value}, as in the preferences")
 
 
+class MRPNN_PT_advanced(_RenderPanel, bpy.types.Panel):
+    bl_label = "Advanced"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: "bpy.types.Context") -> None:
+        column = _split(self.layout)
+        column.prop(scene_settings(context.scene), "seed")
+        column.prop(scene_settings(context.scene), "model")
+
+
 class MRPNN_PT_optimizations(_RenderPanel, bpy.types.Panel):
     bl_label = "Optimizations"
-    bl_parent_id = "MRPNN_PT_performance"
+    bl_parent_id = "MRPNN_PT_advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: "bpy.types.Context") -> None:
@@ -269,7 +277,8 @@ classes = (
     MRPNN_PT_plan,
     MRPNN_PT_film,
     MRPNN_PT_performance,
-    MRPNN_PT_optimizations,
     MRPNN_PT_exr,
     MRPNN_PT_cycles,
+    MRPNN_PT_advanced,
+    MRPNN_PT_optimizations,
 )

@@ -16,6 +16,8 @@ from .environment_light import environment_lattice, image_in_frame, ordinate_rad
 
 # Depth behind a surface at which the flux is read, in cells: nothing scatters light back from there.
 BEHIND = 0.5
+# Flux over fluence below which surfaces see too little of an environment to tell a share of it.
+FAINT = 0.05
 
 
 class SurfaceIrradiance:
@@ -46,10 +48,21 @@ class SurfaceIrradiance:
 
     def share(self, environments: Sequence[Environment], cancel: CancelToken = NEVER) -> np.ndarray:
         """Share (N,) that reaches the points of environments' irradiance, scattered or not. Raises Cancelled."""
-        radiance = ordinate_radiance(image_in_frame(environments, self.cube.rotation)).mean(axis=1)
-        # The ordinates stand for parts of the sphere, which makes the flux smaller, but also without the medium.
-        whole = 4.0 * np.pi * (self.normals @ ORDINATES.T) @ (ORDINATE_WEIGHTS * radiance)
-        return self._flux(self.solver.solve(EnteringLight(radiance), cancel)) / np.maximum(whole, 1e-30)
+        image = image_in_frame(environments, self.cube.rotation)
+        towards = Environment(np.zeros((len(image), 2 * len(image), 3), np.float32)).directions()
+        # Light from behind a surface does not reach it; which directions are behind it, the nearest axis tells.
+        main = np.abs(self.normals).argmax(axis=1)
+        facing = np.where(np.take_along_axis(self.normals, main[:, None], axis=1)[:, 0] > 0.0, 1.0, -1.0)
+        share = np.zeros(len(self.normals))
+        for axis, sign in dict.fromkeys(zip(main.tolist(), facing.tolist())):
+            own = (main == axis) & (facing == sign)
+            radiance = ordinate_radiance(image * (sign * towards[..., axis, None] > 0.0)).mean(axis=1)
+            arriving = 4.0 * np.pi * ORDINATE_WEIGHTS * radiance
+            # The ordinates stand for parts of the sphere, which makes the flux smaller, but also without the medium.
+            whole = np.maximum((self.normals[own] @ ORDINATES.T) @ arriving, max(FAINT * arriving.sum(), 1e-30))
+            light = self.solver.solve(EnteringLight(radiance), cancel)
+            share[own] = self._flux(light)[own] / whole
+        return share
 
     def _flux(self, light: np.ndarray) -> np.ndarray:
         """Flux (N,) into the surfaces; light: float32 (4, x, y, z), fluence and flux."""

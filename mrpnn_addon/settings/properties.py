@@ -23,7 +23,7 @@ PRESETS = {"PREVIEW": 1, "DRAFT": 4, "FINAL": 16}
 _PRESET_ITEMS = [
     ("PREVIEW", "Preview", "1 depth sample: fastest; shape and single scattering are final"),
     ("DRAFT", "Draft", "4 depth samples: little sampling error"),
-    ("FINAL", "Final", "16 depth samples: no visible sampling error but in the densest clouds"),
+    ("FINAL", "Final", "16 depth samples: no visible sampling error, except in the densest clouds"),
     ("CUSTOM", "Custom", "Another number of depth samples"),
 ]
 

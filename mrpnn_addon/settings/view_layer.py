@@ -20,8 +20,8 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     )
     use_pass_uncertainty: BoolProperty(
         name="Uncertainty",
-        description="Standard deviation of the error that is expected of Combined, mean over its channels: of what is "
-        "predicted, and of the choice of depths along each ray, which more depth samples lower",
+        description="Expected error of Combined: its standard deviation, averaged over the color channels. More depth "
+        "samples lower it",
     )
     use_pass_median_depth: BoolProperty(
         name="Median Depth",

@@ -18,7 +18,7 @@ from .process import PictureFailed
 from .sphere import Sphere
 
 #: Of a World with a volume, after its name.
-WORLD_FOG = "its fog is not rendered; a large cube around the scene, with the same volume shader, is"
+WORLD_FOG = "its fog is not rendered; use a large cube around the scene with the same volume shader"
 
 
 def is_wanted(depsgraph: "bpy.types.Depsgraph") -> bool:
@@ -71,8 +71,8 @@ def read_world(
             return [], [], warnings + [f"{name}: {problem}; {failure}; its light is not rendered"]
         if coordinates := view_coordinates(world):
             warnings.append(
-                f"{name} reads Texture Coordinate > {' and '.join(coordinates)}, which depends on the view; its light "
-                "in volumes is that of another view"
+                f"{name} reads Texture Coordinate > {' and '.join(coordinates)}, which depends on the view; "
+                "volumes get its light for a different view"
             )
     found = [Environment(sphere.image(radiance), name=name)] if radiance.max() > 0.0 else []
     return discs, found, warnings
@@ -153,5 +153,5 @@ def _light_warnings(light: np.ndarray, name: str) -> list[str]:
     if not np.isfinite(light).all():
         return [f"{name}: its light is not finite; check its drivers and nodes"]
     if light.min() < 0.0:
-        return [f"{name}: its light is negative in places, which is rendered as none; set its strength above 0"]
+        return [f"{name}: its light is negative in places and counts as 0 there; set its strength above 0"]
     return []

@@ -100,3 +100,23 @@ def test_all_of_the_sky_reaches_ground_in_a_vacuum():
     dome = random.uniform(0.5, 1.0, (8, 16, 3)).astype(np.float32)
     dome[4:] = 0.0
     assert slab_irradiance(1e-6, 0.9).share([Environment(dome)]) == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma, albedo", [(4.0, 0.9), (16.0, 1.0)])
+def test_light_from_below_the_ground_changes_nothing(sigma, albedo):
+    """An even World has no net flux; its upper half alone lights ground."""
+    dome = np.zeros((64, 128, 3), np.float32)
+    dome[:32] = 1.0
+    ground = slab_irradiance(sigma, albedo)
+    assert ground.share([Environment(np.ones_like(dome))]) == pytest.approx(ground.share([Environment(dome)]), rel=0.01)
+
+
+@pytest.mark.parametrize("rows", [slice(0, 4), slice(4, 8), slice(0, 8)])
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.6, 0.0, 0.8), (-0.5, 0.5, -0.7071)])
+def test_no_surface_gets_much_more_light_than_there_is(rows, normal):
+    sky = np.zeros((8, 16, 3), np.float32)
+    sky[rows] = 1.0
+    ground = slab_irradiance(4.0, 0.9)
+    ground.normals = np.broadcast_to(np.array(normal) / np.linalg.norm(normal), ground.normals.shape)
+    share = ground.share([Environment(sky)])
+    assert np.isfinite(share).all() and 0.0 <= share.min() and share.max() <= 1.25

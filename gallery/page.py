@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The gallery's page, docs/use/gallery.md, of pictures and figures that the docs hold."""
+
+from pathlib import Path
+
+from PIL import Image
+
+from benchmarks.support.pages import DOCS, IMAGES, TABLES, csv_text, read_csv, replace
+from benchmarks.support.provenance import made_by
+
+from .scenes import SCENES
+
+PAGE, PICTURES, TABLE = DOCS / "use" / "gallery.md", IMAGES / "gallery", TABLES / "gallery.csv"
+PICTURE_SECONDS, SAMPLES = "picture's seconds", "Cycles' samples"
+COLUMNS = ("scene", "way", "pixels", PICTURE_SECONDS, "seconds", "Cycles' seconds", SAMPLES, "made by")
+QUALITY = 88
+#: README's pictures in their order, the size of each and how many are side by side; and the steps of the workflow.
+SHEET = "storm", "dusk", "nebula", "inside", "milk", "stage", "fire", "fog", "noon", "explosion", "plume"
+TILE, COLUMNS_SHOWN = (400, 225), 3
+STEPS = {
+    "engine-menu": "1. Choose the engine",
+    "panel": "2. Check",
+    "viewport": "3. Light it in Rendered shading",
+    "render": "4. Press F12",
+}
+WAYS = {
+    "layer": "engine *MRPNN Volumes*",
+    "composite": "[*Composite over Cycles*](compositing.md)",
+    "bake": "[*Bake Light*](baked-light.md), shown by Cycles",
+}
+HEAD = """# Gallery
+
+Eleven scenes of the kinds that artists light: use them as a start, or to see what a setting does. Scripts make the
+volumes and the .blend files, so that each clone can make them:
+
+    .venv/bin/python -m gallery noon
+    .venv/bin/python -m gallery --templates
+
+The first command makes one scene and its picture, in `build/gallery`. The second makes all, and
+`build/gallery/mrpnn-gallery.zip`. Install that file from the menu of the Blender icon: *Install Application Template*.
+*File > New* then lists the scenes. Install [the extension](install.md) first.
+
+Some pictures have a smaller one below, beside Cycles with 1024 bounces, denoised, in about the same processor seconds.
+Cycles has at least one sample per pixel, even where that takes longer.
+"""
+
+
+def enter(name: str, out: Path, figures: dict, arguments) -> None:
+    """Put a scene's pictures and figures from a folder into the docs."""
+    PICTURES.mkdir(exist_ok=True)
+    for path in (out / f"{name}.png", out / f"{name}-cycles.png"):
+        if path.exists():
+            with Image.open(path) as image:
+                image.convert("RGB").save(PICTURES / f"{path.stem}.jpg", quality=QUALITY, optimize=True)
+    rows = {row["scene"]: row for row in read_csv(TABLE)} if TABLE.exists() else {}
+    known = {key: value for key, value in rows.get(name, {}).items() if value}
+    rows[name] = {**known, "scene": name, **figures, "made by": made_by("gallery", arguments)}
+    ordered = [[rows[key].get(column, "") for column in COLUMNS] for key in SCENES if key in rows]
+    replace(TABLE, csv_text([], COLUMNS, ordered))
+
+
+def text() -> str:
+    """The page."""
+    parts = [HEAD]
+    for row in read_csv(TABLE):
+        name, entry = row["scene"], SCENES[row["scene"]]
+        pixels = row["pixels"].replace("x", "×")
+        said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row[PICTURE_SECONDS]}"
+        parts.append(
+            f"## {entry.title}\n\n![{entry.title}](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
+        )
+        if row["seconds"]:
+            samples = f"{row[SAMPLES]} sample"
+            samples += "" if samples.startswith("1 ") else "s"
+            alt = f"{entry.title}: this extension, and Cycles with {samples}"
+            parts.append(f"![{alt}](../images/gallery/{name}-cycles.jpg)\n\nCycles has {samples} per pixel here.\n")
+    parts.append("All figures are in [gallery.csv](../tables/gallery.csv), with the commands that made them.\n")
+    return "\n".join(parts)
+
+
+def sheet() -> Image.Image:
+    """The pictures that the docs hold, side by side in rows, but for SHEET's last that do not fill one."""
+    shown = [PICTURES / f"{name}.jpg" for name in SHEET if (PICTURES / f"{name}.jpg").exists()]
+    rows = len(shown) // COLUMNS_SHOWN
+    (width, height), gap = TILE, 4
+    made = Image.new("RGB", (COLUMNS_SHOWN * (width + gap) - gap, rows * (height + gap) - gap))
+    for number, path in enumerate(shown[: rows * COLUMNS_SHOWN]):
+        with Image.open(path) as image:
+            tile = image.resize(TILE, Image.LANCZOS)
+        made.paste(tile, (number % COLUMNS_SHOWN * (width + gap), number // COLUMNS_SHOWN * (height + gap)))
+    return made
+
+
+def steps() -> Image.Image:
+    """The workflow in four screenshots, which tests of windows take."""
+    from benchmarks.support.pictures import row
+
+    return row([(caption, Image.open(IMAGES / f"{name}.png")) for name, caption in STEPS.items()], 260, 15)
+
+
+def write() -> None:
+    """Write the page, and the pictures of README that are made of others."""
+    replace(PAGE, text())
+    sheet().save(IMAGES / "gallery.jpg", quality=QUALITY, optimize=True)
+    steps().save(IMAGES / "workflow.jpg", quality=QUALITY, optimize=True)
