@@ -68,6 +68,7 @@ class Occupancy:
         faces = [(np.arange(n + 1) * times * self.cell - first - 1.0) for n, first in zip(filled.shape, self.first)]
         return filled, faces
 
+    @functools.cached_property
     def share(self) -> float:
         """Fraction of the cells that are filled or have a filled neighbour."""
         return float(self.filled.mean())

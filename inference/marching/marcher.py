@@ -5,10 +5,11 @@ Within a step extinction is constant and the optical depth towards the sun linea
 exact (`kernels/march.c`).
 """
 
+import copy
+import functools
 import threading
 from collections.abc import Sequence
 from ctypes import addressof, c_int32, c_void_p
-from dataclasses import replace
 
 import numpy as np
 
@@ -47,6 +48,7 @@ from .ray_steps import (
     STEP_GROWTH,
     STEP_THICKNESS,
     STEPS,
+    Boxes,
     RayBatch,
     step_counts,
 )
@@ -70,7 +72,7 @@ class Marcher:
 
         lamps: whose light is gathered, too; None for none.
         """
-        self._lamps, self._indices = lamps, list(channels)
+        self._lamps = lamps
         self._kernels, self._media, self._options = library.load_kernels(), media, options
         self._channels, self._emits = len(channels), any(medium.emits for medium in media)
         #: Numbers of the media, of those that another Marcher marches through.
@@ -92,22 +94,38 @@ class Marcher:
         """Through which it marches."""
         return self._media
 
+    @functools.cached_property
+    def boxes(self) -> Boxes:
+        """Their supports."""
+        return Boxes.of(self._media)
+
     def through(self, groups: Sequence[int]) -> "Marcher":
         """Marches through some groups of media alone, by number, in the light of suns."""
         volumes = sorted(v for g in groups for v in self._groups[g])
-        places, fluence = {v: place for place, v in enumerate(volumes)}, self._options.fluence
-        options = replace(
-            self._options,
-            groups=[[places[v] for v in self._groups[g]] for g in groups],
-            fluence=None if fluence is None else [fluence[g] for g in groups],
+        places = {v: place for place, v in enumerate(volumes)}
+        found = copy.copy(self)
+        found.__dict__.pop("boxes", None)
+        found._media, found.volumes = [self._media[v] for v in volumes], volumes
+        found._groups = [[places[v] for v in self._groups[g]] for g in groups]
+        found._emits = any(medium.emits for medium in found._media)
+        found._varying = sum(medium.varies for medium in found._media)
+        starts, members = _listed(found._groups)
+        found._scene = structures.copied(
+            self._scene,
+            volumes=len(volumes),
+            groups=len(groups),
+            varying=found._varying,
+            media=structures.rows_of(self._scene.fields["media"], volumes),
+            group_starts=starts,
+            group_members=members,
+            fluence=structures.rows_of(self._scene.fields["fluence"], groups),
         )
-        found = Marcher([self._media[v] for v in volumes], options, self._indices, self._stop)
-        found.volumes = volumes
+        found._local = threading.local()
         return found
 
     def __call__(self, rays: RayBatch) -> RaySegment:
         """March rays whose intervals contain all media. Raises Cancelled."""
-        return self.march_steps(rays, step_counts(self._media, rays))
+        return self.march_steps(rays, step_counts(self.boxes, rays))
 
     def march_steps(self, rays: RayBatch, counts: np.ndarray) -> RaySegment:
         """March rays in counts, int (R,), coarse steps each. Raises Cancelled."""
@@ -194,8 +212,7 @@ class Marcher:
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
             nodes[count, :count], weights[count, :count] = options.quadrature(count)
-        members = np.concatenate([np.array(group, np.int64) for group in self._groups])
-        starts = np.cumsum([0, *map(len, self._groups)]).astype(np.int64)
+        starts, members = _listed(self._groups)
         return structures.Scene(
             volumes=len(self._media),
             suns=self._suns,
@@ -243,6 +260,12 @@ class Marcher:
             scales=np.array(SCALES),
             jitter=np.float64(JITTER),
         )
+
+
+def _listed(groups: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
+    """Where groups start and end in a list of their members, int64 (G + 1,), and the list."""
+    starts = np.cumsum([0, *map(len, groups)]).astype(np.int64)
+    return starts, np.array([v for group in groups for v in group], np.int64)
 
 
 def _doubles(values: np.ndarray) -> np.ndarray:

@@ -34,11 +34,11 @@ class RayFeatures:
 
     values: np.ndarray
 
-    def of(self, points: np.ndarray | slice, medium: int, sun: int) -> np.ndarray:
-        """float32 (N, COLUMNS) at points, by number, in one medium and for one sun."""
+    def of(self, points: np.ndarray | slice, medium: int | np.ndarray, sun: int) -> np.ndarray:
+        """float32 (N, COLUMNS) at points, by number, in one medium, or one (N,) for each, and for one sun."""
         return self.values[points, medium, sun]
 
-    def mean(self, points: np.ndarray | slice, medium: int, suns: Sequence[int], fractions: np.ndarray) -> np.ndarray:
+    def mean(self, points: np.ndarray | slice, medium: int | np.ndarray, suns: Sequence[int], fractions: np.ndarray) -> np.ndarray:
         """float32 (N, COLUMNS), as `of`, averaged over several suns.
 
         fractions: (n,), of the light that each sun gives, or (N, n) for each point. Transmittance is averaged instead

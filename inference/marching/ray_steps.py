@@ -7,13 +7,14 @@ are cut into smaller blocks. Positions on a ray are in coarse steps. The steps o
 that an image does not depend on which rays are marched together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.occupancy import REACH
+from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import lengths, product
 
 # Minimal number of coarse steps along the longest edge of a grid; there is one per voxel at least.
@@ -55,14 +56,59 @@ class RayBatch:
         return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays], detail)
 
 
-def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
-    """Number of coarse steps per voxel."""
-    return max(1.0, STEPS_PER_EDGE / max(max(medium.grid.shape) for medium in media))
+@dataclass(frozen=True)
+class Boxes:
+    """The supports of V media that attenuate or emit, as rays meet them.
+
+    linear: (V, 3, 3) and offset: (V, 3), continuous indices from world positions. shape: (V, 3), voxels.
+    """
+
+    linear: np.ndarray
+    offset: np.ndarray
+    shape: np.ndarray
+
+    @classmethod
+    def of(cls, media: Sequence[BoundMedium]) -> "Boxes":
+        """Of some media."""
+        media = [medium for medium in media if medium.matters]
+        return cls(
+            np.array([medium.linear for medium in media]).reshape(-1, 3, 3),
+            np.array([medium.offset for medium in media]).reshape(-1, 3),
+            np.array([medium.grid.shape for medium in media], np.float64).reshape(-1, 3),
+        )
+
+    def crossings(
+        self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
+    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield for each medium that any of R rays meets between distances `clip`, (R,) each: its number, the rays
+        int (N,), the distances (N,) at which they enter and leave it, and their slopes (N, 3) in its indices."""
+        for v, (linear, offset, shape) in enumerate(zip(self.linear, self.offset, self.shape)):
+            slopes = product(directions, linear.T)
+            enter, leave = box_interval(product(origins, linear.T) + offset, slopes, -1.0, shape)
+            enter, leave = np.maximum(enter, clip[0]), np.minimum(leave, clip[1])
+            met = np.flatnonzero(enter < leave)
+            if len(met):
+                yield v, met, enter[met], leave[met], slopes[met]
+
+    def intervals(
+        self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Intervals in which rays meet any medium: near and far (R,), near > far on a miss.
+
+        clip: distances (R,) to the near and the far clipping plane.
+        """
+        near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
+        for _, met, enter, leave, _ in self.crossings(origins, directions, clip):
+            near[met] = np.minimum(near[met], enter)
+            far[met] = np.maximum(far[met], leave)
+        return near, far
 
 
-def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
-    """Number of coarse steps int (R,) per ray, for the medium that needs the most."""
-    # Instances that are turned alike need the same.
-    turned = {medium.linear.tobytes(): medium.linear for medium in media if medium.matters}
-    crossed = [lengths(product(rays.directions, linear.T)) * (rays.far - rays.near) for linear in turned.values()]
-    return np.ceil(np.maximum(np.max(crossed, axis=0), MIN_VOXELS) * steps_per_voxel(media)).astype(int)
+def step_counts(boxes: Boxes, rays: RayBatch) -> np.ndarray:
+    """Number of coarse steps int (R,) per ray, for the medium that needs the most of those that it meets."""
+    counts = np.full(len(rays.near), MIN_VOXELS)
+    for v, met, _, _, slopes in boxes.crossings(rays.origins, rays.directions, (rays.near, rays.far)):
+        crossed = lengths(slopes) * (rays.far - rays.near)[met]
+        per_voxel = max(1.0, STEPS_PER_EDGE / boxes.shape[v].max())
+        counts[met] = np.maximum(counts[met], np.ceil(np.maximum(crossed, MIN_VOXELS) * per_voxel).astype(int))
+    return counts

@@ -18,6 +18,7 @@ from inference.marching.ray_steps import (
     STEP_GROWTH,
     STEP_THICKNESS,
     STEPS,
+    Boxes,
     RayBatch,
     step_counts,
 )
@@ -154,7 +155,7 @@ def cut_into_blocks(
 
     Each ray looks at one block after another, as coarse as it may be, and cuts those that turn out to be too thick.
     """
-    lines = RayLines(media, rays, step_counts(media, rays))
+    lines = RayLines(media, rays, step_counts(Boxes.of(media), rays))
     count = len(lines.count)
     whole = -(-lines.count // STEPS) * float(STEPS)
     place, reached, gap = np.zeros((3, count))
