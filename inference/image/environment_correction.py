@@ -15,7 +15,7 @@ import numpy as np
 from ..environments.environment_light import ROWS, Skies
 from ..grids.working_cube import Cube
 from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
-from ..marching.ray_steps import RayBatch
+from ..marching.ray_steps import Boxes, RayBatch
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
@@ -164,7 +164,12 @@ def _meeting_rays(context: RenderContext, scene: PreparedScene, channel_pass: Ch
         size = np.maximum(np.round(np.array(scene.camera.resolution) * min(edge / longest, 1.0)), 1).astype(int)
         camera = replace(scene.camera, resolution=tuple(size.tolist()), region=None)
         origins, directions, *clip = camera_rays(camera)
-        near, far = channel_pass.march.boxes.intervals(origins, directions, clip)
+        near, far = np.full((2, len(origins)), [[np.inf], [-np.inf]])
+        coarse, pixels = replace(scene, camera=camera), np.arange(len(origins)).reshape(camera.resolution[::-1])
+        for x0, y0, x1, y1 in coarse.cut([camera.window]):
+            groups, some = coarse.groups_in((x0, y0, x1, y1)), pixels[y0:y1, x0:x1].ravel()
+            boxes = channel_pass.through(groups).march.boxes if groups else Boxes.of(())
+            near[some], far[some] = boxes.intervals(origins[some], directions[some], [ends[some] for ends in clip])
         meet = np.flatnonzero(near < far)
         if len(meet) >= count or edge >= min(longest, MOST_EDGE):
             break

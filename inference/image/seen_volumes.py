@@ -9,7 +9,7 @@ from ..grids.grid import Grid
 from ..plan.plan import make_tiles
 from ..plan.resolution import BAND
 from ..scene.camera import Camera
-from ..scene.camera_rays import pixels_around
+from ..scene.camera_rays import pixels_around, windows_around
 from .framebuffer import Window
 
 
@@ -19,18 +19,27 @@ def shown_pixels(camera: Camera, grids: Sequence[Grid]) -> tuple[np.ndarray, np.
     Windows (x0, y0, x1, y1) are of the image; those of volumes that are not seen are empty.
     """
     x0, y0, x1, y1 = camera.window
-    shown, windows = np.zeros((y1 - y0, x1 - x0), bool), np.zeros((len(grids), 4), int)
+    shown = np.zeros((y1 - y0, x1 - x0), bool)
+    windows = windows_around(camera, np.array([grid.corners() for grid in grids]).reshape(-1, 8, 3))
     # The more volumes there are, the smaller each is in the picture.
     detail = max(len(grids), 1) ** (-1.0 / 3.0)
-    for window, grid in zip(windows, grids):
-        around = pixels_around(camera, *grid.support(detail))
+    sizes = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
+    for n in np.flatnonzero(sizes > 0):
+        left, top, right, bottom = windows[n] - [x0, y0, x0, y0]
+        if sizes[n] <= SMALL:
+            shown[top:bottom, left:right] = True
+            continue
+        around = pixels_around(camera, *grids[n].support(detail))
         rows, columns = np.flatnonzero(around.any(axis=1)), np.flatnonzero(around.any(axis=0))
+        windows[n] = 0
         if len(rows):
-            window[:] = x0 + columns[0], y0 + rows[0], x0 + columns[-1] + 1, y0 + rows[-1] + 1
+            windows[n] = x0 + columns[0], y0 + rows[0], x0 + columns[-1] + 1, y0 + rows[-1] + 1
             shown[rows[0] : rows[-1] + 1] |= around[rows[0] : rows[-1] + 1]
     return shown, windows
 
 
+# Pixels around a volume that are not told apart.
+SMALL = 256
 # Volumes of a part of the image above which it is cut, down to a band of pixels, and those that are compared in pairs.
 MOST_VOLUMES, MOST_PAIRED = 16, 64
 

@@ -8,8 +8,9 @@ exact (`kernels/march.c`).
 import copy
 import functools
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from ctypes import addressof, c_int32, c_void_p
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,10 @@ from .ray_steps import (
     RayBatch,
     step_counts,
 )
+
+
+# Describes something for kernels, once.
+Once = Callable[[Callable[[Any], structures.Shared], Any], structures.Shared]
 
 
 class Marcher:
@@ -220,9 +225,7 @@ class Marcher:
             channels=len(channels),
             varying=self._varying,
             scattering=len(options.scattering),
-            media=structures.array_of(
-                [describe_medium(medium, channels, options.scattering, lamps is not None) for medium in self._media]
-            ),
+            media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
@@ -302,17 +305,31 @@ def _phase_table(medium: Medium) -> np.ndarray:
     return np.stack([medium.scattered(cosine), medium.scattered(-cosine)]).astype(np.float32)
 
 
-def describe_medium(
-    medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool
-) -> structures.Shared:
-    """A medium, with its emission in `channels` and its scattering in `scattering`, colour channels by number.
+def describe_media(
+    media: Sequence[BoundMedium], channels: Sequence[int], scattering: Sequence[int], lamps: bool
+) -> list[structures.Shared]:
+    """Media, with their emission in `channels` and their scattering in `scattering`, colour channels by number.
 
-    lamps: whether its phase function is tabulated, for the light of lamps.
+    lamps: whether their phase functions are tabulated, for the light of lamps.
     """
+    known: dict[int, structures.Shared] = {}
+
+    def once(describe: Callable[[Any], structures.Shared], what: Any) -> structures.Shared:
+        """The same for instances, which share what they hold."""
+        if id(what) not in known:
+            known[id(what)] = describe(what)
+        return known[id(what)]
+
+    return [_describe_medium(medium, channels, scattering, lamps, once) for medium in media]
+
+
+def _describe_medium(
+    medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool, once: Once
+) -> structures.Shared:
     grid = medium.grid
-    scattered = [describe_grid(grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
-    emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
-    density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
+    scattered = [once(describe_grid, grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
+    emission = [once(describe_grid, grid.emission[channel]) for channel in channels] if medium.emits else []
+    density, occupancy = once(describe_grid, grid.density), once(describe_occupancy, grid.occupancy)
     described = structures.Medium(
         density=density,
         held=grid.density.filled_bits if isinstance(grid.density, DenseGrid) else None,

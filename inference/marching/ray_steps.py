@@ -31,6 +31,8 @@ LEVELS, MOST_PARTS = 7, 8
 SAMPLES = 2
 # Rays that graze a corner get as many steps as if they crossed this many voxels.
 MIN_VOXELS = 32
+# Rays times media whose crossings are found at a time.
+CROSSINGS = 1 << 17
 # Steps per block: neither end of a block lies further from its middle than the reach of the occupancy.
 STEPS = 2 * REACH
 
@@ -79,16 +81,24 @@ class Boxes:
 
     def crossings(
         self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
-    ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield for each medium that any of R rays meets between distances `clip`, (R,) each: its number, the rays
-        int (N,), the distances (N,) at which they enter and leave it, and their slopes (N, 3) in its indices."""
-        for v, (linear, offset, shape) in enumerate(zip(self.linear, self.offset, self.shape)):
-            slopes = product(directions, linear.T)
-            enter, leave = box_interval(product(origins, linear.T) + offset, slopes, -1.0, shape)
-            enter, leave = np.maximum(enter, clip[0]), np.minimum(leave, clip[1])
-            met = np.flatnonzero(enter < leave)
-            if len(met):
-                yield v, met, enter[met], leave[met], slopes[met]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Where R rays meet N media at a time, between distances `clip`, (R,) each.
+
+        Yields the distances (R, N) at which they enter and leave, infinite and in the wrong order on a miss, the lengths
+        (R, N) of a world unit on each ray in voxels, and the voxels (N,) along the media's longest edges.
+        """
+        size = max(CROSSINGS // max(len(origins), 1), 1)
+        near, far = np.broadcast_to(clip[0], len(origins)), np.broadcast_to(clip[1], len(origins))
+        for start in range(0, len(self.linear), size):
+            span = slice(start, start + size)
+            frames, shape = self.linear[span].reshape(-1, 3).T, self.shape[span]
+            at = product(origins, frames).reshape(-1, len(shape), 3) + self.offset[span]
+            slopes = product(directions, frames).reshape(-1, len(shape), 3)
+            enter, leave = box_interval(at, slopes, -1.0, shape)
+            enter, leave = np.maximum(enter, near[:, None]), np.minimum(leave, far[:, None])
+            miss = ~(enter < leave)
+            enter[miss], leave[miss] = np.inf, -np.inf
+            yield enter, leave, lengths(slopes.reshape(-1, 3)).reshape(miss.shape), shape.max(axis=1)
 
     def intervals(
         self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
@@ -98,17 +108,16 @@ class Boxes:
         clip: distances (R,) to the near and the far clipping plane.
         """
         near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-        for _, met, enter, leave, _ in self.crossings(origins, directions, clip):
-            near[met] = np.minimum(near[met], enter)
-            far[met] = np.maximum(far[met], leave)
+        for enter, leave, _, _ in self.crossings(origins, directions, clip):
+            near, far = np.minimum(near, enter.min(axis=1)), np.maximum(far, leave.max(axis=1))
         return near, far
 
 
 def step_counts(boxes: Boxes, rays: RayBatch) -> np.ndarray:
     """Number of coarse steps int (R,) per ray, for the medium that needs the most of those that it meets."""
     counts = np.full(len(rays.near), MIN_VOXELS)
-    for v, met, _, _, slopes in boxes.crossings(rays.origins, rays.directions, (rays.near, rays.far)):
-        crossed = lengths(slopes) * (rays.far - rays.near)[met]
-        per_voxel = max(1.0, STEPS_PER_EDGE / boxes.shape[v].max())
-        counts[met] = np.maximum(counts[met], np.ceil(np.maximum(crossed, MIN_VOXELS) * per_voxel).astype(int))
+    for enter, leave, scale, edges in boxes.crossings(rays.origins, rays.directions, (rays.near, rays.far)):
+        crossed = np.maximum(scale * (rays.far - rays.near)[:, None], MIN_VOXELS)
+        needed = np.ceil(crossed * np.maximum(STEPS_PER_EDGE / edges, 1.0)) * (enter < leave)
+        counts = np.maximum(counts, needed.max(axis=1).astype(int))
     return counts
