@@ -20,7 +20,6 @@ from .dense_grid import DenseGrid, refined
 from .occupancy import LEAST_CELLS, MOST_CELLS, Occupancy
 from .sun_optical_depth import SunOpticalDepth
 
-
 # Which corners of a box are the highest, along each axis.
 CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -289,4 +288,3 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
         batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
         rays = _TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
     return replace(rays, batch=channel_pass.detailed(rays.batch))
-

@@ -146,7 +146,9 @@ class PreparedScene:
         """Equal for groups that are alike."""
         group, plan = self.groups[g], self.plan
         assert group is not None
-        placed = self.lamps or self.occluders or any(environment.weight is not None for environment in self.environments)
+        placed = (
+            self.lamps or self.occluders or any(environment.weight is not None for environment in self.environments)
+        )
         if placed or len(plan.groups[g]) > 1 or group.volume.scattering is not None:
             return g
         medium, cube = group.medium, group.predictor.cube

@@ -75,7 +75,10 @@ class TileEstimate:
         self._turns: list[np.ndarray | None] = [None]
         if source.frames is not None:
             self._turns = [*samples.turns(source.members)]
-            self._members, self._places = np.array(source.members), np.array(list(map(samples.place_of_group, source.groups)))
+            self._members, self._places = (
+                np.array(source.members),
+                np.array(list(map(samples.place_of_group, source.groups))),
+            )
         # Samples whose error is to be told: numbers and what was predicted, (A, N, ...), by turn.
         self._told: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self._turns]
         self._depths: np.ndarray | None = None
@@ -191,7 +194,9 @@ class TileEstimate:
         ahead = []
         for start in range(0, len(self.pixel), SAMPLES_PER_CHECK):
             self.context.cancel.check()
-            light = self.source.estimator.light_ahead(self._asked(slice(start, start + SAMPLES_PER_CHECK), self._turns[0]))
+            light = self.source.estimator.light_ahead(
+                self._asked(slice(start, start + SAMPLES_PER_CHECK), self._turns[0])
+            )
             if light is None:
                 return None
             ahead.append(light)

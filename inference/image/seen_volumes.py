@@ -76,7 +76,11 @@ class SeenVolumes:
                 # What surrounds all of them.
                 first, last = first.min(axis=0, keepdims=True), last.max(axis=0, keepdims=True)
             for begin, end in zip(first, last):
-                found |= (low[:, :2] <= end[:2]).all(axis=1) & (begin[:2] <= high[:, :2]).all(axis=1) & (high[:, 2] >= begin[2])
+                found |= (
+                    (low[:, :2] <= end[:2]).all(axis=1)
+                    & (begin[:2] <= high[:, :2]).all(axis=1)
+                    & (high[:, 2] >= begin[2])
+                )
         return np.flatnonzero(found)
 
     def cut(self, window: Window) -> list[Window]:

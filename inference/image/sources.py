@@ -60,11 +60,11 @@ class Source:
     """One group of volumes in one light, or one volume of it, or several groups of one volume each that are alike.
 
     groups: their numbers, ascending. members: numbers of the volumes. frames: float64 (G, 4), of several groups:
-    factors of world positions and what is added to them, for which the estimator is asked about the first. rows: of its light. varies: whether the albedo of any of the
-    volumes does, or they differ. voxel: shortest edge of the group's voxels. lights: how many suns and lamps share the
-    single scattering that tells where its light varies; 0 where that does not tell. adaptive: whether pixels that agree
-    with their neighbours interpolate it. needs_detail: whether its light varies along rays more than nodes of the depth
-    samples tell.
+    factors of world positions and what is added to them, for which the estimator is asked about the first. rows: of
+    its light. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest edge of the
+    group's voxels. lights: how many suns and lamps share the single scattering that tells where its light varies; 0
+    where that does not tell. adaptive: whether pixels that agree with their neighbours interpolate it.
+    needs_detail: whether its light varies along rays more than nodes of the depth samples tell.
     """
 
     groups: Sequence[int]
@@ -260,7 +260,6 @@ class AskedGroup:
             lights=lights,
             needs_detail=needs_detail,
         )
-
 
     def _frames(self) -> np.ndarray:
         """As of Source."""

@@ -54,7 +54,6 @@ from .ray_steps import (
     step_counts,
 )
 
-
 # Describes something for kernels, once.
 Once = Callable[[Callable[[Any], structures.Shared], Any], structures.Shared]
 

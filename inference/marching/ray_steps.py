@@ -84,8 +84,8 @@ class Boxes:
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Where R rays meet N media at a time, between distances `clip`, (R,) each.
 
-        Yields the distances (R, N) at which they enter and leave, infinite and in the wrong order on a miss, the lengths
-        (R, N) of a world unit on each ray in voxels, and the voxels (N,) along the media's longest edges.
+        Yields the distances (R, N) at which they enter and leave, infinite and in the wrong order on a miss, the
+        lengths (R, N) of a world unit on each ray in voxels, and the voxels (N,) along the media's longest edges.
         """
         size = max(CROSSINGS // max(len(origins), 1), 1)
         near, far = np.broadcast_to(clip[0], len(origins)), np.broadcast_to(clip[1], len(origins))

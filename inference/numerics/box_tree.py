@@ -33,8 +33,9 @@ def box_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     count = leaves
     while count > 1:
         parts = boxes[count : 2 * count].reshape(-1, 2, 2, 3)
-        boxes[count // 2 : count, 0], boxes[count // 2 : count, 1] = parts[:, :, 0].min(axis=1), parts[:, :, 1].max(axis=1)
         count //= 2
+        boxes[count : 2 * count, 0] = parts[:, :, 0].min(axis=1)
+        boxes[count : 2 * count, 1] = parts[:, :, 1].max(axis=1)
     boxes[boxes[:, 0, 0] > boxes[:, 1, 0]] = NOWHERE
     contents = np.full(leaves, -1, np.int64)
     contents[: len(order)] = order
