@@ -211,7 +211,9 @@ def _predicted(
         (x0, y0, x1, y1), wanted = tile.camera.window, np.isin(pixel, rays.pixels)
         within = light.reshape(-1, height, width)[:, y0:y1, x0:x1]
         for source in (source.within(samples.volumes) for source in sources):
-            some = np.flatnonzero(wanted & (samples.share(source.members) > 0.0)) if source.members else ()
+            if not source.members:
+                continue
+            some = np.flatnonzero(wanted & (samples.share(source.members) > 0.0))
             if not len(some):
                 continue
             estimate = TileEstimate(context, samples, tile, source)
