@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..grids.bound_medium import BoundMedium
 from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
@@ -82,7 +80,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
             "through another; render volumes of such different sizes in view layers of their own"
         )
-    size = _rays_per_task(context, scene, counts)
+    size = _rays_per_task(channel_pass, counts)
     shade, parts, features, of_lamps = Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
     means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
@@ -144,9 +142,7 @@ def _hold_out(framebuffer: Framebuffer, channel_pass: ChannelPass, samples: Dept
             image[image < HELD] = 0.0
 
 
-def estimate_march(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera
-) -> tuple[float, float]:
+def estimate_march(context: RenderContext, channel_pass: ChannelPass, camera: Camera) -> tuple[float, float]:
     """Approximate number of steps evaluated on a camera's rays, and of their depth samples.
 
     Marches one pixel in PILOT x PILOT. Raises Cancelled.
@@ -161,11 +157,11 @@ def estimate_march(
     if left >= right or top >= bottom:
         return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far = ray_intervals(channel_pass.media, origins, directions, (near, far))
+    near, far = channel_pass.march.boxes.intervals(origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
     batch = channel_pass.detailed(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
     steps, samples = 0, 0
-    size = _rays_per_task(context, scene, channel_pass.step_counts(batch)) if len(hit) else 1
+    size = _rays_per_task(channel_pass, channel_pass.step_counts(batch)) if len(hit) else 1
     for start in range(0, len(hit), size):
         context.cancel.check()
         segment = channel_pass.march(batch.take(slice(start, start + size)))
@@ -173,9 +169,9 @@ def estimate_march(
     return float(steps * sparse.prod()), float(samples * sparse.prod())
 
 
-def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndarray) -> int:
+def _rays_per_task(channel_pass: ChannelPass, counts: np.ndarray) -> int:
     """Number of rays that are marched together; counts: int (R,), steps of each ray."""
-    evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
+    evaluated = counts.max() * min(sum(medium.grid.occupancy.share for medium in channel_pass.media), 1.0)
     steps = STEPS_PER_TASK
     return int(np.clip(steps / evaluated, 16, 4096))
 
@@ -244,7 +240,7 @@ def _means_around_lamps(scene: PreparedScene, channel_pass: ChannelPass, tile: T
 
     def intervals(origins: np.ndarray, directions: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         clip = [end / cosine for end in camera.clip]
-        return ray_intervals(channel_pass.media, origins, directions, clip)
+        return channel_pass.march.boxes.intervals(origins, directions, clip)
 
     pixels = np.where(rays.share < 1.0, -1, columns), rows
     return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
@@ -290,7 +286,7 @@ def tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Channe
     rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
     origins, directions, *clip = pixel_rays(tile.camera, columns, rows)
     offsets = lookup_offsets(columns, rows, context.settings.seed)
-    near, far = ray_intervals(channel_pass.media, origins, directions, clip)
+    near, far = channel_pass.march.boxes.intervals(origins, directions, clip)
     share, free = np.ones((2, len(near)))
     if scene.depth_buffer is not None:
         with report.stage("surfaces"):
@@ -309,25 +305,3 @@ def tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Channe
         batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
         rays = TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
     return replace(rays, batch=channel_pass.detailed(rays.batch))
-
-
-def ray_intervals(
-    media: Sequence[BoundMedium],
-    origins: np.ndarray,
-    directions: np.ndarray,
-    clip: Sequence[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), near > far on a miss.
-
-    clip: distances (P,) to the near and the far clipping plane.
-    """
-    clip_near, clip_far = clip
-    near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-    for medium in media:
-        if medium.matters:
-            enter, leave = medium.grid.interval(origins, directions)
-            enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
-            hits = enter < leave
-            near[hits] = np.minimum(near[hits], enter[hits])
-            far[hits] = np.maximum(far[hits], leave[hits])
-    return near, far

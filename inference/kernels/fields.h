@@ -146,6 +146,10 @@ typedef struct {
     const Occupancy *majorants;  /* (volumes), their peaks alone */
     const double *anisotropies;  /* (volumes) */
     const double *albedos;       /* (volumes, channels), 1 where they vary */
+    int64_t leaves;              /* of a binary tree of boxes, a power of two; */
+    const double *boxes;         /* (2 leaves, 2, 3), lowest and highest corners of each: the root is number 1, and the parts
+                                    of number n are 2 n and 2 n + 1; */
+    const int64_t *contents;     /* (leaves), the volume in each, or -1 */
     int64_t rays;
     const double *origins, *directions;  /* (rays, 3) */
     const double *near_distance, *far_distance;  /* (rays), between which paths collide first */

@@ -155,6 +155,23 @@ class DepthSamples:
     def _places(self, members: Sequence[int]) -> Sequence[int]:
         return members if self.volumes is None else [self.volumes.index(v) for v in members]
 
+    def turns(self, members: Sequence[int]) -> list[np.ndarray]:
+        """Of each sample one of some volumes that hold it, int (M,), by place in `members` or -1; in as many arrays as
+        it takes for all that do."""
+        within = np.cumsum(self.fraction[:, self._places(members)] > 0.0, axis=1)
+        most = int(within.max(initial=0))
+        return [np.where(within[:, -1] >= n, (within >= n).argmax(axis=1), -1) for n in range(1, most + 1)]
+
+    def scattered_by(
+        self, samples: np.ndarray, members: np.ndarray, factors: np.ndarray, columns: Sequence[int]
+    ) -> np.ndarray:
+        """As `scattered`, by one volume, int (N,), at each sample; factors: float32 (N, C)."""
+        places = members if self.volumes is None else np.searchsorted(self.volumes, members)
+        weight = self.weight[samples, None] * factors
+        if self.scattering is None:
+            return weight * self.fraction[samples, places, None]
+        return weight * self.scattering[samples, places][:, columns]
+
     def place_of_group(self, group: int) -> int:
         """Place of a group in the ray features."""
         return group if self.groups is None else self.groups.index(group)

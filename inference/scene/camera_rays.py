@@ -152,6 +152,30 @@ def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, i
     return left, top, right, bottom
 
 
+def windows_around(camera: Camera, corners: np.ndarray) -> np.ndarray:
+    """As `window_around`, int (V, 4), of the convex hulls of V times N points (V, N, 3); empty behind the camera."""
+    x0, y0, x1, y1 = camera.window
+    windows = np.tile([x0, y0, x1, y1], (len(corners), 1))
+    if camera.projection == "equirectangular":
+        return windows
+    axis = camera.world_matrix[:3, 2] / np.linalg.norm(camera.world_matrix[:3, 2])
+    ahead = product(camera.world_matrix[:3, 3] - corners, axis)
+    nearest, farthest = ahead.min(axis=1), ahead.max(axis=1)
+    windows[farthest < 0.0] = 0
+    size = np.abs(corners - camera.world_matrix[:3, 3]).max(axis=(1, 2))
+    seen = np.flatnonzero((nearest > 1e-6 * size.max(initial=0.0)) | (camera.projection == "orthographic"))
+    pixels = image_points(camera, corners[seen]) if len(seen) else None
+    if pixels is None:
+        return windows
+    # One pixel more on each side, for rounding.
+    low, high = np.floor(pixels.min(axis=2)) - 1.0, np.ceil(pixels.max(axis=2)) + 1.0
+    finite = (np.isfinite(low) & np.isfinite(high)).all(axis=0)
+    first, end = np.array([[x0], [y0]]), np.array([[x1], [y1]])
+    found = np.concatenate([np.clip(low, first, end), np.clip(high, first, end)])[:, finite].T
+    windows[seen[finite]] = found.astype(int)
+    return windows
+
+
 def pixels_around(camera: Camera, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """bool (rows, columns): pixels of the camera's window that can show any of the cells.
 
