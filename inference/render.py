@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from .blur.eyes import find_eyes
 from .grids.bound_medium import scattering_channels
 from .grids.grid import Grid
 from .grids.sun_optical_depth import SunOpticalDepth
-from .image.camera_pass import march_tile
+from .image.camera_pass import add_sharpness, march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_correction import correct_environments
 from .image.framebuffer import Framebuffer, Window
@@ -28,7 +29,7 @@ from .marching.lamp_in_media import LampInMedia, enclosed_warnings
 from .marching.marcher import Marcher
 from .marching.ray_march import MarchOptions
 from .network.interfaces import System
-from .occluders.depth_buffer import DepthBuffer
+from .occluders.depth_buffer import DepthBuffer, eye_distances
 from .occluders.occluders import NO_OCCLUDERS, Occluders, find_occluders
 from .occluders.seen_surfaces import vantage
 from .plan.lights import without_lamps
@@ -113,6 +114,9 @@ def _finished_parts(
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             yield from _render_passes(context, scene, framebuffer)
+            if scene.eyes is not None:
+                with report.stage("blur"):
+                    framebuffer = framebuffer.joined(camera.window, tasks.each)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))
@@ -173,6 +177,8 @@ def _tiles(
         samples = march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
         if samples is not None:
             add_scattered_light(context, sources, tile, samples)
+            if scene.eyes is not None:
+                add_sharpness(scene, tile, samples)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
         return tile
 
@@ -193,8 +199,10 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     settings, media = context.settings, scene.media(channels)
     near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
+    # Rays of several eyes share the depth samples of a pixel, and are not alike.
+    shared = 1 if scene.eyes is None else max(scene.eyes.rays // 2, 1)
     options = MarchOptions(
-        settings.depth_samples,
+        -(-settings.depth_samples // shared),
         fluence,
         scene.occluders.shadow_maps,
         scene.plan.groups,
@@ -236,8 +244,10 @@ def prepare_scene(
         grids = cache.grids([volume for volume, _ in asked.volumes], cancel)
     with report.stage("surfaces"):
         covering = [surface for surface in surfaces if surface.covers]
-        ends = covering and camera.projection != "equirectangular"
-        depth_buffer = DepthBuffer(covering, camera, cancel) if ends else None
+        ends = bool(covering) and camera.projection != "equirectangular"
+        eyes = find_eyes(camera, settings.blur_rays)
+        depth_buffer = DepthBuffer(covering, camera, cancel) if ends and eyes is None else None
+        distances = eye_distances(covering, eyes, camera.window, cancel) if ends and eyes is not None else None
         occluders, lit = NO_OCCLUDERS, list(range(len(placed.suns)))
         if grids:
             corners = np.concatenate([grid.corners() for grid in grids])
@@ -248,7 +258,7 @@ def prepare_scene(
     sun_depths, lamps = _shadows(context, plan, grids, surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]
-    see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
+    see_ahead = len(covering) == len(surfaces) and (ends or not surfaces)
     network = _load_network(context, plan)
     cache.keep_groups((1 + (plan.reflects or bool(plan.sky))) * len(plan.groups))
     context.progress.message("preparing volumes")
@@ -266,6 +276,8 @@ def prepare_scene(
         sun_depths=sun_depths,
         occluders=occluders,
         depth_buffer=depth_buffer,
+        eyes=eyes,
+        eye_distances=distances,
         extended_lights=ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None,
         groups=groups,
         network=network,

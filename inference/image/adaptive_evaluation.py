@@ -105,7 +105,7 @@ def evaluate_adaptively(
     opacity, guide = estimate.opacity()
     safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
     # A pixel whose rays end at different surfaces differs from its neighbours.
-    split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > 1
+    split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > estimate.samples.rays
     # Where the albedo varies, what is interpolated is the mean over what is scattered, so that colours stay sharp.
     scattered = estimate.scattered()
     shown = np.broadcast_to(opacity, estimate.radiance.shape) if scattered is None else scattered

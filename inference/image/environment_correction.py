@@ -189,7 +189,7 @@ def _predicted(
     shown = np.zeros(width * height, bool)
     shown[rays.pixels] = True
     tile = Tile.of(rays.camera, rays.camera.window, shown.reshape(height, width))
-    samples = march_tile(context, replace(scene, depth_buffer=None), channel_pass, tile)
+    samples = march_tile(context, replace(scene, depth_buffer=None, eyes=None), channel_pass, tile)
     light, opacity = np.zeros((len(channel_pass.channels.indices), width * height)), np.zeros(width * height)
     if samples is None:
         return rays.take(slice(0)), light[:, :0], opacity[:0]

@@ -28,6 +28,7 @@ ROOMS = {
         "runtime",
         "scene",
         "kernels",
+        "blur",
         "onnx",
         "models",
         "occluders",
