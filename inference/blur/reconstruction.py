@@ -26,8 +26,11 @@ def join(
     a function over numbers, possibly in parallel.
     """
     rows, columns = sharpness.shape[:2]
-    weight = np.where(sharpness[..., 3:] > 0.0, sharpness[..., 3:], 1.0)
-    inverse = np.ascontiguousarray(sharpness[..., :3] / weight, np.float32)
+    # Pixels that show nothing are as sharp as what is around them.
+    empty = sharpness[..., 3] == 0.0
+    sums = np.where(empty[..., None], _around(sharpness), sharpness)
+    inverse = sums[..., :3] / np.where(sums[..., 3:] > 0.0, sums[..., 3:], np.float32(1.0))
+    inverse = np.ascontiguousarray(inverse, np.float32)
     image = np.concatenate([values.reshape(rows, columns, -1) for values in images], axis=2, dtype=np.float32)
     joined = np.empty_like(image)
 
@@ -49,3 +52,14 @@ def join(
         pass
     ends = np.cumsum([int(np.prod(values.shape[2:], dtype=int)) for values in images])[:-1]
     return [part.reshape(values.shape) for part, values in zip(np.split(joined, ends, axis=2), images)]
+
+
+def _around(values: np.ndarray) -> np.ndarray:
+    """Sums over the pixels within REACH, of values (rows, columns, ...)."""
+    for axis in (0, 1):
+        padded = np.pad(values, [(REACH + 1, REACH) if a == axis else (0, 0) for a in range(values.ndim)])
+        sums = np.cumsum(padded, axis=axis, dtype=np.float64)
+        count = values.shape[axis]
+        span = [sums.take(range(first, first + count), axis=axis) for first in (2 * REACH + 1, 0)]
+        values = (span[0] - span[1]).astype(np.float32)
+    return values

@@ -11,7 +11,7 @@ from .eyes import Eyes
 # Knots along an edge of a window at which spreads are computed.
 KNOTS = 3
 # Fraction of the spread of a point over which pixels are joined, and the spread in pixels of a point that is sharp.
-JOINED, SHARP = 0.25, 0.25
+JOINED, SHARP = 0.75, 0.25
 # Ratio of the farthest to the nearest of two distances that tell how spreads vary between them, at least.
 LEAST_RATIO = 1.5
 

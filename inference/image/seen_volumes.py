@@ -25,7 +25,7 @@ def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None
     x0, y0, x1, y1 = camera.window
     shown, windows = np.zeros((y1 - y0, x1 - x0), bool), np.zeros((len(grids), 4), int)
     # The more volumes there are, the smaller each is in the picture.
-    detail = max(len(grids), 1) ** (-1.0 / 3.0)
+    detail = max(len(grids), 1) ** (-1.0 / 3.0) * (1.0 if eyes is None else 0.5)
     for window, grid in zip(windows, grids):
         cells, corners = grid.support(detail)
         around = pixels_around(camera, cells, corners) if eyes is None else _around(camera, eyes, cells, corners)

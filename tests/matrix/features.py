@@ -287,6 +287,14 @@ def camera(stage: Stage, **values: object) -> "bpy.types.Object":
     return added
 
 
+def lens(stage: Stage) -> None:
+    """Depth of field, focused on an object in front of the volumes."""
+    dof = camera(stage).data.dof
+    dof.use_dof, dof.aperture_fstop, dof.aperture_blades = True, 0.1, 5
+    dof.focus_object = stage.add("Focus", None)
+    dof.focus_object.location = 0.3, -2.0, 0.5
+
+
 def panorama(stage: Stage) -> None:
     lens = camera(stage, type="PANO").data
     settings = lens if hasattr(lens, "panorama_type") else lens.cycles
@@ -417,6 +425,7 @@ DIMENSIONS: dict[str, dict[str, Build]] = {
         "inside": inside,
         "stereo": stereo,
         "border": border,
+        "lens": lens,
         "shift": lambda stage: camera(stage, shift_x=0.15, shift_y=-0.1),
     },
     "film": {
