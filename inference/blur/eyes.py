@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pinhole cameras that sample the lens and the shutter of another camera.
 
-A camera that sees through one point of a thin lens at one moment is a pinhole camera whose window is shifted. Each pixel
-has rays of a few such eyes, and the pixels of a block have different ones, so that all eyes together sample lens and
-shutter densely. Pixels that show what is blurred are joined afterwards (`reconstruction`).
+A camera that sees through one point of a thin lens at one moment is a pinhole camera whose window is shifted. Each
+pixel has rays of a few such eyes, and the pixels of a block have different ones, so that all eyes together sample lens
+and shutter densely. Pixels that show what is blurred are joined afterwards (`reconstruction`).
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +34,9 @@ class Eyes:
     def pixels_of(self, number: int, window: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Columns int (C,) and rows (R,) of a window's pixels that an eye has rays through."""
         place, (x0, y0, x1, y1) = number // self.rays, window
-        column, row = (sum(place >> (2 * k + down) & 1 and 1 << k for k in range(BLOCK.bit_length())) for down in (0, 1))
+        column, row = (
+            sum(place >> (2 * k + down) & 1 and 1 << k for k in range(BLOCK.bit_length())) for down in (0, 1)
+        )
         return x0 + np.arange((column - x0) % BLOCK, x1 - x0, BLOCK), y0 + np.arange((row - y0) % BLOCK, y1 - y0, BLOCK)
 
 
@@ -51,9 +53,7 @@ def find_eyes(camera: Camera, rays: int) -> Eyes | None:
     times = np.full(count, 0.5)
     if camera.shutter is not None:
         times = np.interp(moments, np.linspace(0.0, 1.0, len(camera.shutter.times)), camera.shutter.times)
-    cameras = [
-        _eye(camera, None if points is None else points[n], float(times[n]), beside[n]) for n in range(count)
-    ]
+    cameras = [_eye(camera, None if points is None else points[n], float(times[n]), beside[n]) for n in range(count)]
     return Eyes(cameras, times, rays)
 
 
@@ -94,7 +94,7 @@ def camera_at(camera: Camera, time: float) -> Camera:
 
 
 def _eye(camera: Camera, point: np.ndarray | None, time: float, beside: np.ndarray) -> Camera:
-    """A camera at a time, through a point (2,) of its lens. beside: (2,), of pixels' rays from their centres, pixels."""
+    """A camera at a time, through a point (2,) of its lens. beside: (2,) pixels, of rays from centres of pixels."""
     width, lens = camera.resolution[0], camera.lens
     camera = replace(camera_at(camera, time), lens=None)
     if camera.projection == "equirectangular":
@@ -123,7 +123,7 @@ def _places(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _spread(count: int) -> np.ndarray:
-    """Points (3, count) in the unit cube: Sobol's sequence, whose runs of 4, 16 and 64 points are evenly spread, too."""
+    """Points (3, count) in the unit cube: Sobol's sequence, whose runs of 4, 16 and 64 points are evenly spread."""
     bits, number = 30, np.arange(count)
     first = [1] * bits
     second, third = [1], [1, 3]
@@ -135,11 +135,11 @@ def _spread(count: int) -> np.ndarray:
         for k in range(count.bit_length()):
             points[axis] ^= np.where(number >> k & 1, odd[k] << (bits - 1 - k), 0)
     # In the middle of the intervals.
-    return points / 2.0**bits + 0.5 / (1 << (count - 1).bit_length())
+    return np.asarray(points / 2.0**bits + 0.5 / (1 << (count - 1).bit_length()))
 
 
 def _reversed_bits(numbers: np.ndarray, count: int) -> np.ndarray:
     """Numbers (N,) below a count, evenly spread in (0, 1) such that neighbours lie apart."""
     bits = max((count - 1).bit_length(), 1)
-    reversed_ = sum(((numbers >> k) & 1) << (bits - 1 - k) for k in range(bits))
-    return (reversed_ + 0.5) / (1 << bits)
+    mirrored = np.sum([((numbers >> k) & 1) << (bits - 1 - k) for k in range(bits)], axis=0)
+    return (mirrored + 0.5) / (1 << bits)

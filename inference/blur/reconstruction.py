@@ -17,9 +17,7 @@ from ..kernels.library import call
 REACH, ROWS = 4, 8
 
 
-def join(
-    images: Sequence[np.ndarray], sharpness: np.ndarray, each: Callable[..., Iterable[None]]
-) -> list[np.ndarray]:
+def join(images: Sequence[np.ndarray], sharpness: np.ndarray, each: Callable[..., Iterable[None]]) -> list[np.ndarray]:
     """Images float32 (rows, columns, ...) whose pixels are joined.
 
     sharpness: float32 (rows, columns, 4), inverse covariances xx, xy and yy times weights, and the weights. each: maps

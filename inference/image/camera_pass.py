@@ -59,8 +59,14 @@ class _TileRays:
 
     def take(self, some: np.ndarray) -> "_TileRays":
         """Some of the rays."""
-        values = (values[some] for values in (self.pixel, self.offsets, self.share, self.free))
-        return _TileRays(self.batch.take(some), *values, self.rays)
+        return _TileRays(
+            batch=self.batch.take(some),
+            pixel=self.pixel[some],
+            offsets=self.offsets[some],
+            share=self.share[some],
+            free=self.free[some],
+            rays=self.rays,
+        )
 
 
 def march_tile(
@@ -349,7 +355,7 @@ def _rays_of_eyes(
         origins[some], directions[some], *ends = pixel_rays(eye, columns[some], rows[some])
         clip[:, some] = ends
     offsets = lookup_offsets(columns, rows, context.settings.seed) + number % eyes.rays * PLASTIC[0]
-    near, far = ray_intervals(channel_pass.media, origins, directions, clip)
+    near, far = ray_intervals(channel_pass.media, origins, directions, list(clip))
     share, free = np.full(len(pixel), 1.0 / eyes.rays), np.ones(len(pixel))
     if scene.eye_distances is not None:
         left, top, *_ = scene.camera.window

@@ -12,7 +12,6 @@ from ..scene.camera import Camera
 from ..scene.camera_rays import pixels_around
 from .framebuffer import Window
 
-
 # Edge in pixels of the squares in which several eyes' pixels are told apart.
 SQUARE = 8
 

@@ -202,8 +202,8 @@ class DepthSamples:
         values: (M,), weighted. points: samples (N,) on these rays, ascending. Estimated from the upper quarter of the
         Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them; noise
         contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a lattice.
-        With one sample the error is the sum itself. On rays of more detail it falls in proportion to the samples. Errors
-        of rays through the same pixel are independent.
+        With one sample the error is the sum itself. On rays of more detail it falls in proportion to the samples.
+        Errors of rays through the same pixel are independent.
         """
         chosen = self.sampled[points]
         chosen = chosen[np.flatnonzero(np.diff(chosen, prepend=-1))]

@@ -15,7 +15,9 @@ def transform_at(keys: np.ndarray, place: float) -> np.ndarray:
         return np.array(keys[number], np.float64)
     (turn, stretch), (last_turn, last_stretch) = (_polar(key[:3, :3]) for key in keys[number : number + 2])
     found = (1.0 - fraction) * keys[number] + fraction * keys[number + 1]
-    found[:3, :3] = turn @ _fraction_of(turn.T @ last_turn, fraction) @ ((1 - fraction) * stretch + fraction * last_stretch)
+    found[:3, :3] = (
+        turn @ _fraction_of(turn.T @ last_turn, fraction) @ ((1 - fraction) * stretch + fraction * last_stretch)
+    )
     return found
 
 

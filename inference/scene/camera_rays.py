@@ -145,6 +145,13 @@ def seen_at(camera: Camera, points: np.ndarray) -> np.ndarray:
     x, y, z = np.moveaxis(_local(camera, points), -1, 0)
     (width, height), (left, right), (lower, upper) = camera.resolution, camera.longitude, camera.latitude
     if camera.projection == "equirectangular":
+        if camera.lens is not None and camera.lens.point is not None:
+            # Rays through the lens' point leave the middle's by so much there.
+            distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)
+            towards = np.stack([x, y, z], axis=-1) / distance[..., None]
+            _, beside = _through_lens(camera.lens, towards.reshape(-1, 3))
+            aside = beside.reshape(towards.shape) * (distance / camera.lens.focus - 1.0)[..., None]
+            x, y, z = np.moveaxis(towards * distance[..., None] + aside, -1, 0)
         latitude = np.arctan2(y, np.hypot(x, z))
         return np.stack(
             [(np.arctan2(x, -z) - left) / (right - left) * width, (upper - latitude) / (upper - lower) * height]

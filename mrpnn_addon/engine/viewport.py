@@ -79,7 +79,9 @@ def viewport_lens(context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph"
     camera = space.camera if space.use_local_camera else depsgraph.scene.camera
     if context.region_data.view_perspective != "CAMERA" or camera is None or camera.type != "CAMERA":
         return None
-    return read_lens(camera.evaluated_get(depsgraph), depsgraph) if scene_settings(depsgraph.scene).viewport_blur else None
+    return (
+        read_lens(camera.evaluated_get(depsgraph), depsgraph) if scene_settings(depsgraph.scene).viewport_blur else None
+    )
 
 
 class Viewport:

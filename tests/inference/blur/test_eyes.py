@@ -102,7 +102,9 @@ def test_a_ball_out_of_focus_is_as_large_as_its_circle_of_confusion():
     # The lens' image in the plane of the ball: half as large as the aperture is from 1 to 2 units behind it.
     pixels = 96 / (2.0 * 2.0 * np.tan(0.25))
     rows, columns = np.mgrid[:96, :96] - 47.5
-    squared = (blurred * (rows**2 + columns**2)).sum() / blurred.sum() - (sharp * (rows**2 + columns**2)).sum() / sharp.sum()
+    squared = (blurred * (rows**2 + columns**2)).sum() / blurred.sum() - (
+        sharp * (rows**2 + columns**2)
+    ).sum() / sharp.sum()
     assert squared == pytest.approx((lens.radius * pixels) ** 2 / 2.0, rel=0.12)
     # Without noise: as many eyes as there are pixels in a square are not told apart.
     many = render([ball()], [], replace(camera, lens=lens), Settings(blur_rays=64)).alpha
