@@ -425,8 +425,8 @@ DIMENSIONS: dict[str, dict[str, Build]] = {
         "inside": inside,
         "stereo": stereo,
         "border": border,
-        "lens": lens,
         "shift": lambda stage: camera(stage, shift_x=0.15, shift_y=-0.1),
+        "lens": lens,
     },
     "film": {
         "opaque": film(False, 1.0),
