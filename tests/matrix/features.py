@@ -290,7 +290,7 @@ def camera(stage: Stage, **values: object) -> "bpy.types.Object":
 def lens(stage: Stage) -> None:
     """Depth of field, focused on an object in front of the volumes."""
     dof = camera(stage).data.dof
-    dof.use_dof, dof.aperture_fstop, dof.aperture_blades = True, 0.1, 5
+    dof.use_dof, dof.aperture_fstop, dof.aperture_blades = True, 0.5, 5
     dof.focus_object = stage.add("Focus", None)
     dof.focus_object.location = 0.3, -2.0, 0.5
 
