@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..blur.eyes import Eyes
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
@@ -61,7 +62,8 @@ class PreparedScene:
     plan, with what lies between them and the volumes. open_groups: as groups, without what surfaces hide from the
     middle of the volumes; empty where they hide nothing.
     environments: the plan's, and what surfaces emit and throw back. thrown_back: the one of them that is the latter, or
-    None.
+    None. eyes: that sample the camera's lens and shutter, None without these. eye_distances: as of the function of that
+    name, of surfaces that cover volumes, or None.
     """
 
     plan: Plan
@@ -79,6 +81,13 @@ class PreparedScene:
     lamps: list[LampInMedia] = field(default_factory=list)
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
     thrown_back: Environment | None = None
+    eyes: Eyes | None = None
+    eye_distances: np.ndarray | None = None
+
+    @property
+    def sharp(self) -> "PreparedScene":
+        """As the middle of the lens sees it."""
+        return self if self.eyes is None else replace(self, eyes=None, eye_distances=None)
 
     def opened(self, group: int) -> ScatteringGroup | None:
         """A group without what surfaces hide from the middle of the volumes."""
@@ -104,7 +113,7 @@ class PreparedScene:
 
     @functools.cached_property
     def _shown(self) -> tuple[np.ndarray, np.ndarray]:
-        return shown_pixels(self.camera, self.grids)
+        return shown_pixels(self.camera, self.grids, self.eyes)
 
     @functools.cached_property
     def _seen(self) -> SeenVolumes:

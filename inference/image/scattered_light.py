@@ -8,6 +8,7 @@ import numpy as np
 from ..marching.depth_samples import DepthSamples
 from ..network.estimators import LitPoints
 from ..network.predictor import POINTS_PER_TASK
+from ..scene.camera_rays import places_in_image
 from .adaptive_evaluation import distance_guide, evaluate_adaptively, pixels_per_voxel, sample_batches, scattered_shares
 from .adaptive_interpolation import Guide
 from .context import RenderContext, Tile
@@ -72,7 +73,7 @@ class TileEstimate:
         """moments: D, of the radiance."""
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
-        self.camera = tile.camera
+        self.camera, self.blurred = tile.camera, samples.rays > 1
         self.share = samples.share(source.members)
         self.pixel = samples.pixel[samples.ray]
         self.radiance, self.quantities = np.zeros((moments * len(source.rows), pixels)), source.channels
@@ -134,8 +135,7 @@ class TileEstimate:
     def _asked(self, points: np.ndarray | slice, turn: np.ndarray | None) -> LitPoints:
         """Some samples, as an estimator is asked at them."""
         samples = self.samples
-        x0, y0, x1, _ = self.camera.window
-        row, column = np.divmod(self.pixel[points], x1 - x0)
+        directions = samples.directions[samples.ray[points]]
         positions, place, numbers = samples.positions(points), samples.place_of_group(self.source.groups[0]), points
         if turn is not None:
             assert self.source.frames is not None
@@ -146,14 +146,14 @@ class TileEstimate:
             positions = frame[:, :1] * positions + frame[:, 1:]
         return LitPoints(
             positions=positions,
-            directions=samples.directions[samples.ray[points]],
+            directions=directions,
             jitter=None if isinstance(points, slice) else samples.jitter(points),
             numbers=numbers,
             group=place,
             suns=samples.features,
             lamps=samples.lamp_features,
             depths=self._depths,
-            image=(column + x0 + 0.5, row + y0 + 0.5),
+            image=places_in_image(self.camera, self.pixel[points], directions, self.blurred),
         )
 
     def deviation(self) -> np.ndarray:

@@ -2,9 +2,11 @@
 """Which volumes a part of the image shows, and which others shadow these."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from ..blur.eyes import Eyes
 from ..grids.grid import Grid
 from ..plan.plan import make_tiles
 from ..plan.resolution import BAND
@@ -12,24 +14,33 @@ from ..scene.camera import Camera
 from ..scene.camera_rays import pixels_around, windows_around
 from .framebuffer import Window
 
+# Pixels around a volume that are not told apart.
+SMALL = 256
+# Volumes of a part of the image above which it is cut, down to a band of pixels, and those that are compared in pairs.
+MOST_VOLUMES, MOST_PAIRED = 16, 64
+# Edge in pixels of the squares in which several eyes' pixels are told apart.
+SQUARE = 8
 
-def shown_pixels(camera: Camera, grids: Sequence[Grid]) -> tuple[np.ndarray, np.ndarray]:
+
+def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of the camera's window that may show a volume, bool (rows, columns), and the windows of each, int (V, 4).
 
-    Windows (x0, y0, x1, y1) are of the image; those of volumes that are not seen are empty.
+    Windows (x0, y0, x1, y1) are of the image; those of volumes that are not seen are empty. eyes: of the camera.
     """
     x0, y0, x1, y1 = camera.window
     shown = np.zeros((y1 - y0, x1 - x0), bool)
-    windows = windows_around(camera, np.array([grid.corners() for grid in grids]).reshape(-1, 8, 3))
+    boxes = np.array([grid.corners() for grid in grids]).reshape(-1, 8, 3)
+    windows = windows_around(camera, boxes) if eyes is None else _windows_around(eyes, boxes)
     # The more volumes there are, the smaller each is in the picture.
-    detail = max(len(grids), 1) ** (-1.0 / 3.0)
+    detail = max(len(grids), 1) ** (-1.0 / 3.0) * (1.0 if eyes is None else 0.5)
     sizes = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
     for n in np.flatnonzero(sizes > 0):
         left, top, right, bottom = windows[n] - [x0, y0, x0, y0]
         if sizes[n] <= SMALL:
             shown[top:bottom, left:right] = True
             continue
-        around = pixels_around(camera, *grids[n].support(detail))
+        cells, corners = grids[n].support(detail)
+        around = pixels_around(camera, cells, corners) if eyes is None else _around(camera, eyes, cells, corners)
         rows, columns = np.flatnonzero(around.any(axis=1)), np.flatnonzero(around.any(axis=0))
         windows[n] = 0
         if len(rows):
@@ -38,10 +49,30 @@ def shown_pixels(camera: Camera, grids: Sequence[Grid]) -> tuple[np.ndarray, np.
     return shown, windows
 
 
-# Pixels around a volume that are not told apart.
-SMALL = 256
-# Volumes of a part of the image above which it is cut, down to a band of pixels, and those that are compared in pairs.
-MOST_VOLUMES, MOST_PAIRED = 16, 64
+def _windows_around(eyes: Eyes, corners: np.ndarray) -> np.ndarray:
+    """As `windows_around`, of all eyes together."""
+    windows = np.stack([windows_around(eye, corners) for eye in eyes.cameras])
+    seen = (windows[..., 2:] > windows[..., :2]).all(axis=2, keepdims=True)
+    low = np.where(seen, windows[..., :2], np.iinfo(windows.dtype).max).min(axis=0)
+    high = np.where(seen, windows[..., 2:], 0).max(axis=0)
+    return np.concatenate([np.minimum(low, high), high], axis=1)
+
+
+def _around(camera: Camera, eyes: Eyes, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """As `pixels_around`, of all eyes together."""
+    (width, height), (x0, y0, x1, y1) = camera.resolution, camera.window
+    across = -(-width // SQUARE)
+    scale = across / width
+    down = int(np.ceil(height * scale))
+    found = np.zeros((down + 2, across + 2), bool)
+    for eye in eyes.cameras:
+        found[1:-1, 1:-1] |= pixels_around(replace(eye, resolution=(across, down), region=None), cells, corners)
+    # The middle of the image stays where it is, which moves rows by less than a square.
+    found[:, 1:-1] |= found[:, :-2] | found[:, 2:]
+    found[1:-1] |= found[:-2] | found[2:]
+    columns = ((np.arange(x0, x1) + 0.5) * scale).astype(int)
+    rows = ((np.arange(y0, y1) + 0.5 - 0.5 * height) * scale + 0.5 * down).astype(int)
+    return found[1 + np.clip(rows, 0, down - 1)[:, None], 1 + np.clip(columns, 0, across - 1)]
 
 
 class SeenVolumes:

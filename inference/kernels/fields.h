@@ -347,6 +347,16 @@ typedef struct {
     float *out;                  /* (rows, columns) */
 } MatrixProduct;
 
+/* Rows of an image whose pixels are joined with those around, as blurred as they are: reconstruction.join. */
+typedef struct {
+    int64_t rows, columns, values;
+    int64_t first, end;          /* rows to fill */
+    int64_t reach;               /* pixels that are joined on each side */
+    const float *sharpness;      /* (rows, columns, 3), xx, xy and yy of an inverse covariance */
+    const float *image;          /* (rows, columns, values) */
+    float *joined;               /* (rows, columns, values) */
+} PixelJoin;
+
 /* Functions of the library that take one structure, which X is told with its type. */
 #define MRPNN_FUNCTIONS(X) \
     X(sweep_columns, const ColumnSweep) \
@@ -369,6 +379,7 @@ typedef struct {
     X(lamp_fluence, const LampFluence) \
     X(scatter_nearby, const NearbyLight) \
     X(gather_light, const LightGather) \
+    X(join_pixels, const PixelJoin) \
     X(multiply, const MatrixProduct)
 
 #endif

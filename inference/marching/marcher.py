@@ -10,6 +10,7 @@ import functools
 import threading
 from collections.abc import Callable, Sequence
 from ctypes import addressof, c_int32, c_void_p
+from dataclasses import replace
 from typing import Any
 
 import numpy as np

@@ -29,6 +29,7 @@ ROOMS = {
         "runtime",
         "scene",
         "kernels",
+        "blur",
         "onnx",
         "models",
         "occluders",
