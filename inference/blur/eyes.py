@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pinhole cameras that sample the lens and the shutter of another camera.
+"""Pinhole cameras that sample the lens of another camera.
 
-A camera that sees through one point of a thin lens at one moment is a pinhole camera whose window is shifted. Each
-pixel has rays of a few such eyes, and the pixels of a block have different ones, so that all eyes together sample lens
-and shutter densely. Pixels that show what is blurred are joined afterwards (`reconstruction`).
+A camera that sees through one point of a thin lens is a pinhole camera whose window is shifted. Each
+pixel has rays of a few such eyes, and the pixels of a block have different ones, so that all eyes together sample the
+lens densely. Pixels that show what is blurred are joined afterwards (`reconstruction`).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..numerics.transforms import transform_at
 from ..scene.camera import Camera, Lens
 
 #: Edge in pixels of the block within which all pixels have different eyes: a power of two.
@@ -19,12 +18,9 @@ BLOCK = 4
 
 @dataclass(frozen=True)
 class Eyes:
-    """cameras: E of them, without lens and shutter, those of each pixel of a block after another. times: (E,) in [0, 1]
-    from when the shutter opens to when it closes. rays: per pixel.
-    """
+    """cameras: E of them, without lens, those of each pixel of a block after another. rays: per pixel."""
 
     cameras: list[Camera]
-    times: np.ndarray
     rays: int
 
     def of_pixels(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -41,20 +37,16 @@ class Eyes:
 
 
 def find_eyes(camera: Camera, rays: int) -> Eyes | None:
-    """The eyes of a camera with so many rays per pixel; None for one without lens and shutter."""
-    if camera.lens is None and camera.shutter is None:
+    """The eyes of a camera with so many rays per pixel; None for one without a lens."""
+    if camera.lens is None:
         return None
     count = BLOCK**2 * rays
-    u, v, moments = _spread(count)
+    u, v = _spread(count)
     number = np.arange(count) % rays
     # Within the pixel: the rays of a pixel spread over its area.
     beside = np.stack([(number + 0.5) / rays - 0.5, _reversed_bits(number, rays) - 0.5], axis=1)
-    points = None if camera.lens is None else aperture_points(camera.lens, u, v)
-    times = np.full(count, 0.5)
-    if camera.shutter is not None:
-        times = np.interp(moments, np.linspace(0.0, 1.0, len(camera.shutter.times)), camera.shutter.times)
-    cameras = [_eye(camera, None if points is None else points[n], float(times[n]), beside[n]) for n in range(count)]
-    return Eyes(cameras, times, rays)
+    points = aperture_points(camera.lens, u, v)
+    return Eyes([_eye(camera, camera.lens, points[n], beside[n]) for n in range(count)], rays)
 
 
 def aperture_points(lens: Lens, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -78,39 +70,21 @@ def aperture_points(lens: Lens, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return lens.radius * points / [lens.ratio, 1.0]
 
 
-def camera_at(camera: Camera, time: float) -> Camera:
-    """A camera at a time in [0, 1] of its shutter, without it."""
-    shutter = camera.shutter
-    if shutter is None:
-        return camera
-    tangents = np.tan(0.5 * shutter.fovs)
-    tangent = np.interp(time, np.linspace(0.0, 1.0, len(tangents)), tangents)
-    return replace(
-        camera,
-        world_matrix=transform_at(shutter.matrices, time),
-        fov=2.0 * float(np.arctan(tangent)),
-        shutter=None,
-    )
-
-
-def _eye(camera: Camera, point: np.ndarray | None, time: float, beside: np.ndarray) -> Camera:
-    """A camera at a time, through a point (2,) of its lens. beside: (2,) pixels, of rays from centres of pixels."""
-    width, lens = camera.resolution[0], camera.lens
-    camera = replace(camera_at(camera, time), lens=None)
+def _eye(camera: Camera, lens: Lens, point: np.ndarray, beside: np.ndarray) -> Camera:
+    """A camera through a point (2,) of its lens. beside: (2,) pixels, of rays from centres of pixels."""
     if camera.projection == "equirectangular":
-        return camera if point is None or lens is None else replace(camera, lens=replace(lens, point=tuple(point)))
-    shift, matrix = np.array(camera.shift) + beside * [1.0, -1.0] / width, camera.world_matrix.copy()
-    if point is not None and lens is not None:
-        axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
-        matrix[:3, :3] = axes
-        matrix[:3, 3] += axes[:, :2] @ point
-        if camera.projection == "perspective":
-            shift = shift - point / (lens.focus * 2.0 * np.tan(0.5 * camera.fov))
-        else:
-            # Rays are parallel for each point, and meet where they are sharp.
-            oblique = lens.focus * axes[:, 2] + axes[:, :2] @ point
-            matrix[:3, 2] = oblique / np.linalg.norm(oblique)
-    return replace(camera, world_matrix=matrix, shift=(float(shift[0]), float(shift[1])))
+        return replace(camera, lens=replace(lens, point=tuple(point)))
+    shift, matrix = np.array(camera.shift) + beside * [1.0, -1.0] / camera.resolution[0], camera.world_matrix.copy()
+    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
+    matrix[:3, :3] = axes
+    matrix[:3, 3] += axes[:, :2] @ point
+    if camera.projection == "perspective":
+        shift = shift - point / (lens.focus * 2.0 * np.tan(0.5 * camera.fov))
+    else:
+        # Rays are parallel for each point, and meet where they are sharp.
+        oblique = lens.focus * axes[:, 2] + axes[:, :2] @ point
+        matrix[:3, 2] = oblique / np.linalg.norm(oblique)
+    return replace(camera, world_matrix=matrix, shift=(float(shift[0]), float(shift[1])), lens=None)
 
 
 def _places(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -123,15 +97,14 @@ def _places(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _spread(count: int) -> np.ndarray:
-    """Points (3, count) in the unit cube: Sobol's sequence, whose runs of 4, 16 and 64 points are evenly spread."""
+    """Points (2, count) in the unit square: Sobol's sequence, whose runs of 4, 16 and 64 points are evenly spread."""
     bits, number = 30, np.arange(count)
     first = [1] * bits
-    second, third = [1], [1, 3]
+    second = [1]
     for _ in range(bits):
         second.append(second[-1] ^ (second[-1] << 1))
-        third.append((third[-1] << 1) ^ (third[-2] << 2) ^ third[-2])
-    points = np.zeros((3, count), np.int64)
-    for axis, odd in enumerate((first, second, third)):
+    points = np.zeros((2, count), np.int64)
+    for axis, odd in enumerate((first, second)):
         for k in range(count.bit_length()):
             points[axis] ^= np.where(number >> k & 1, odd[k] << (bits - 1 - k), 0)
     # In the middle of the intervals.

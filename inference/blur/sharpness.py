@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from ..numerics.small_matmul import affine_inverse, product
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, seen_at
 from .eyes import Eyes
@@ -22,18 +21,10 @@ class Spreads:
     Where a point is seen is linear in the reciprocal of its distance, for orthographic cameras in its distance. Two
     distances therefore tell the spread at all of them.
 
-    ends: nearest and farthest distance that matter. keys: float64 (E, 4, 4), from the middle of the shutter to each
-    eye's time, of what moves; None where it stands still.
+    ends: nearest and farthest distance that matter.
     """
 
-    def __init__(
-        self,
-        eyes: Eyes,
-        camera: Camera,
-        window: tuple[int, int, int, int],
-        ends: tuple[float, float],
-        moved: np.ndarray | None = None,
-    ):
+    def __init__(self, eyes: Eyes, camera: Camera, window: tuple[int, int, int, int], ends: tuple[float, float]):
         (x0, y0, x1, y1), (near, far) = window, ends
         self._window, self._linear = window, camera.projection == "orthographic"
         near = max(near, 1e-12)
@@ -42,12 +33,7 @@ class Spreads:
         x, y = (values.ravel() for values in np.meshgrid(x0 + part * (x1 - x0), y0 + part * (y1 - y0)))
         origins, directions, _ = image_rays(camera, x, y)
         points = np.stack([origins + distance * directions for distance in (near, far)])
-        seen = np.stack(
-            [
-                seen_at(eye, points if moved is None else product(points, moved[n, :3, :3].T) + moved[n, :3, 3])
-                for n, eye in enumerate(eyes.cameras)
-            ]
-        )
+        seen = np.stack([seen_at(eye, points) for eye in eyes.cameras])
         first, last = self._places(np.array([near, far]))
         # (2, E, 2, knots): where at place 0, and the slope.
         slope = (seen[:, :, 1] - seen[:, :, 0]) / (last - first)
@@ -77,8 +63,3 @@ class Spreads:
             found = np.stack([yy, -xy, xx], axis=1) / np.maximum(xx * yy - xy * xy, SHARP**4)[:, None]
         # What some eye sees beside or behind it is blurred without bounds.
         return np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
-
-
-def motions(keys: np.ndarray) -> np.ndarray:
-    """From transforms (E, 4, 4) of something to the world at eyes' times, and last in the middle: (E - 1, 4, 4)."""
-    return keys[:-1] @ affine_inverse(keys[-1])

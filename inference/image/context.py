@@ -62,7 +62,7 @@ class PreparedScene:
     plan, with what lies between them and the volumes. open_groups: as groups, without what surfaces hide from the
     middle of the volumes; empty where they hide nothing.
     environments: the plan's, and what surfaces emit and throw back. thrown_back: the one of them that is the latter, or
-    None. eyes: that sample the camera's lens and shutter, None without these. eye_distances: as of the function of that
+    None. eyes: that sample the camera's lens, None without one. eye_distances: as of the function of that
     name, of surfaces that cover volumes, or None.
     """
 

@@ -165,7 +165,8 @@ def _meeting_rays(context: RenderContext, scene: PreparedScene, channel_pass: Ch
         camera = replace(scene.camera, resolution=tuple(size.tolist()), region=None)
         origins, directions, *clip = camera_rays(camera)
         near, far = np.full((2, len(origins)), [[np.inf], [-np.inf]])
-        coarse, pixels = replace(scene, camera=camera, eyes=None), np.arange(len(origins)).reshape(camera.resolution[::-1])
+        coarse = replace(scene, camera=camera, eyes=None)
+        pixels = np.arange(len(origins)).reshape(camera.resolution[::-1])
         for x0, y0, x1, y1 in coarse.cut([camera.window]):
             groups, some = coarse.groups_in((x0, y0, x1, y1)), pixels[y0:y1, x0:x1].ravel()
             boxes = channel_pass.through(groups).march.boxes if groups else Boxes.of(())

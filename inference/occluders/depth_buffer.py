@@ -200,10 +200,10 @@ def eye_distances(
     """
     x0, y0, x1, y1 = window
     distances = np.full((y1 - y0, x1 - x0, eyes.rays), np.inf, np.float32)
-    for number, (eye, time) in enumerate(zip(eyes.cameras, eyes.times)):
+    for number, eye in enumerate(eyes.cameras):
         columns, rows = eyes.pixels_of(number, window)
         if len(columns) and len(rows):
-            buffer = DepthBuffer([surface.at(time) for surface in surfaces], eye, cancel)
+            buffer = DepthBuffer(surfaces, eye, cancel)
             found = buffer.point_distances(columns + 0.5, rows + 0.5, cancel)
             distances[rows[:, None] - y0, columns - x0, number % eyes.rays] = found
     return distances

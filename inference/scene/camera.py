@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The camera."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -52,19 +52,6 @@ class Lens:
             raise SceneError(f"camera: the aperture's ratio {self.ratio:g} must be positive")
 
 
-@dataclass(frozen=True)
-class Shutter:
-    """How a camera moves while its shutter is open; the Camera itself is as in the middle of that time.
-
-    matrices: (K, 4, 4) camera to world, evenly spaced from when the shutter opens to when it closes. fovs: (K,), fields
-    of view as of Camera. times: (N,) in [0, 1], ascending, by which even fractions of the light have arrived.
-    """
-
-    matrices: np.ndarray
-    fovs: np.ndarray
-    times: np.ndarray = field(default_factory=lambda: np.array([0.0, 1.0]))
-
-
 @dataclass
 class Camera:
     """A camera with the axes of Blender: it looks along -Z, +Y is up.
@@ -80,7 +67,6 @@ class Camera:
     exposure: factor of radiance in the layer, which Cycles calls *Film > Exposure*.
     eye: of spherical stereo (equirectangular).
     lens: that blurs what is out of focus; None for a pinhole.
-    shutter: while which the scene moves; None for a picture of one moment.
     region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
         whole image. The layer has the size of the region.
 
@@ -100,7 +86,6 @@ class Camera:
     exposure: float = 1.0
     eye: SphericalEye | None = None
     lens: Lens | None = None
-    shutter: Shutter | None = None
 
     def __post_init__(self) -> None:
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")

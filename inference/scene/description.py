@@ -6,7 +6,7 @@ unless stated otherwise.
 """
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -328,8 +328,7 @@ class Surface:
     shades: whether it shadows volumes from suns. stops: whether it absorbs light that volumes scatter. reflectance:
     fraction of its irradiance that it scatters back diffusely, scalar or RGB, in [0, 1]; float64 (3,) once made.
     emission: radiance that it emits on both sides, W/(m^2 sr), scalar or RGB, in [0, 1e30]; float64 (3,) once made.
-    receivers: names of the volumes and surfaces that its emission lights; None for all. keys: float64 (K, T, 3, 3), the
-    corners at even times while the camera's shutter is open; None for a surface that stands still.
+    receivers: names of the volumes and surfaces that its emission lights; None for all.
 
     Raises SceneError for corners that are not finite, and for reflectance or emission out of range.
     """
@@ -342,7 +341,6 @@ class Surface:
     reflectance: Any = (0.0, 0.0, 0.0)
     emission: Any = (0.0, 0.0, 0.0)
     receivers: frozenset[str] | None = None
-    keys: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)
@@ -354,15 +352,6 @@ class Surface:
         self.emission = rgb_triple(self.emission, f"{self.name}: emission")
         if np.any(self.emission < 0.0) or np.any(self.emission > MAX_IRRADIANCE):
             raise SceneError(f"{self.name}: emission must not be negative or above {MAX_IRRADIANCE:g}")
-
-    def at(self, time: float) -> "Surface":
-        """The surface at a time in [0, 1] of the shutter."""
-        if self.keys is None:
-            return self
-        place = time * (len(self.keys) - 1)
-        number = min(int(place), len(self.keys) - 2)
-        moved = self.keys[number] + (place - number) * (self.keys[number + 1] - self.keys[number])
-        return replace(self, triangles=moved, keys=None)
 
     @property
     def shines(self) -> bool:

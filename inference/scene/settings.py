@@ -22,7 +22,7 @@ class Settings:
 
     depth_samples: network evaluations along a camera ray through an opaque medium, 1 to 512.
     model: name of the network, a file in inference/weights or a registered system.
-    blur_rays: rays per pixel that sample lens and shutter, 2 to 256, where the camera has any.
+    blur_rays: rays per pixel that sample the lens, 2 to 256, where the camera has one.
     seed: of the jitter of lookups; equal seeds give equal images.
     threads: worker threads, 0 for one per core; the image does not depend on it.
     memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pinhole cameras that sample lenses and shutters."""
+"""Pinhole cameras that sample lenses."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from inference import Camera, Lens, Medium, SceneError, Settings, Shutter, Surface, Volume, render
-from inference.blur.eyes import BLOCK, aperture_points, camera_at, find_eyes
+from inference import Camera, Lens, Medium, SceneError, Settings, Sun, Surface, Volume, render
+from inference.blur.eyes import BLOCK, aperture_points, find_eyes
 from inference.scene.camera_rays import image_rays, pixel_rays, seen_at
 
 PLACE = np.eye(4)
@@ -62,18 +62,6 @@ def test_squares_of_pixels_share_out_the_lens_evenly():
         assert there == {(c, r) for c in x for r in y}
 
 
-def test_the_shutter_weighs_moments_and_turns_cameras_at_constant_speed():
-    half_turn = np.array([[0.0, 0.0, 1.0, 2.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    shutter = Shutter(np.stack([np.eye(4), half_turn]), np.array([0.5, 0.5]), np.array([0.0, 0.25, 1.0]))
-    camera = Camera(np.eye(4), fov=0.5, resolution=(8, 8), shutter=shutter)
-    between = camera_at(camera, 1.0 / 3.0)
-    assert np.arctan2(*between.world_matrix[[0, 0], [2, 0]]) == pytest.approx(np.pi / 6.0)
-    assert between.world_matrix[0, 3] == pytest.approx(2.0 / 3.0)
-    times = find_eyes(camera, 4).times
-    # Half of the light arrives in the first quarter of the time.
-    assert np.mean(times < 0.25) == pytest.approx(0.5) and times.min() < 0.02 and times.max() > 0.97
-
-
 def test_where_a_point_is_seen_is_where_its_ray_goes():
     for projection in ("perspective", "orthographic", "equirectangular"):
         camera = Camera(PLACE, projection, resolution=(64, 32), fov=0.9, shift=(0.1, -0.2))
@@ -111,18 +99,13 @@ def test_a_ball_out_of_focus_is_as_large_as_its_circle_of_confusion():
     assert np.sqrt(((blurred - many) ** 2).mean()) < 0.02 * many[many > 0.01].mean()
 
 
-def test_a_lens_without_aperture_and_a_camera_at_rest_change_nothing_but_the_pixels_filter():
+def test_a_lens_without_aperture_changes_nothing_but_the_pixels_filter():
     place = np.eye(4)
     place[2, 3] = 2.0
     camera = Camera(place, resolution=(48, 48), fov=0.2)
-    shutter = Shutter(np.stack([place, place]), np.array([0.2, 0.2]))
-    layers = [
-        render([ball()], [], found).alpha
-        for found in (replace(camera, lens=Lens(0.0, 1.0)), replace(camera, shutter=shutter))
-    ]
-    assert np.array_equal(*layers)
+    found = render([ball()], [], replace(camera, lens=Lens(0.0, 1.0))).alpha
     fine = render([ball()], [], replace(camera, resolution=(192, 192))).alpha.reshape(48, 4, 48, 4).mean(axis=(1, 3))
-    assert np.sqrt(((layers[0] - fine) ** 2).mean()) < 0.01
+    assert np.sqrt(((found - fine) ** 2).mean()) < 0.01
 
 
 def test_surfaces_hide_what_each_ray_sees():
@@ -144,3 +127,40 @@ def test_surfaces_hide_what_each_ray_sees():
 def test_impossible_lenses_are_refused(values):
     with pytest.raises(SceneError, match="camera: the"):
         Lens(*values)
+
+
+def test_outputs_of_one_ray_are_those_of_the_middle_of_the_lens_and_deep_samples_are_refused():
+    place = np.eye(4)
+    place[2, 3] = 2.0
+    camera = Camera(place, resolution=(48, 48), fov=0.2)
+    floor = Surface(np.array([[[-9.0, -9.0, -0.2], [9.0, -9.0, -0.2], [0.0, 9.0, -0.2]]]))
+    blurred, sun = replace(camera, lens=Lens(0.02, 1.0)), [Sun((0.3, 0.2, 1.0), 1.0)]
+    settings = Settings(outputs=frozenset({"median", "shadow"}))
+    sharp, found = (render([ball()], sun, seen, settings, surfaces=[floor]) for seen in (camera, blurred))
+    assert np.array_equal(found.shadow, sharp.shadow) and sharp.shadow.min() < 0.5
+    both = np.isfinite(found.median) & np.isfinite(sharp.median)
+    assert both.sum() > 0.9 * np.isfinite(sharp.median).sum()
+    assert np.allclose(found.median[both], sharp.median[both], rtol=1e-5)
+    with pytest.raises(SceneError, match="deep samples.*depth of field"):
+        render([ball()], sun, blurred, Settings(outputs=frozenset({"deep"})))
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_small_volumes_out_of_focus_are_seen_wherever_a_ray_meets_them(projection):
+    """Many volumes, whose windows tell which of them each tile is marched through."""
+    place = np.eye(4)
+    place[2, 3] = 2.0
+    camera = Camera(place, projection, resolution=(64, 64), fov=0.5, ortho_scale=1.0, lens=Lens(0.1, 1.0))
+    volumes = []
+    for number, (x, y) in enumerate(np.random.default_rng(3).uniform(-0.45, 0.45, (40, 2))):
+        volume, medium = ball(8)
+        frame = np.diag([0.3, 0.3, 0.3, 1.0])
+        frame[:3, 3] = x, y, 0.0
+        volumes.append((Volume(volume.density, frame @ volume.world_from_index, name=f"ball {number}"), medium))
+    everything = Settings().optimizations
+    found, whole = (
+        render(volumes, [], camera, Settings(optimizations=names)).alpha
+        for names in (everything, everything - {"missed_pixels"})
+    )
+    assert whole.max() > 0.05
+    np.testing.assert_allclose(found, whole, atol=1e-4)
