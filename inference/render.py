@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from .blur.eyes import find_eyes
 from .grids.bound_medium import scattering_channels
 from .grids.grid import Grid
 from .grids.sun_optical_depth import SunOpticalDepth
-from .image.camera_pass import march_tile
+from .image.camera_pass import add_sharpness, march_tile
 from .image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from .image.environment_correction import correct_environments
 from .image.framebuffer import Framebuffer, Window
@@ -28,7 +29,7 @@ from .marching.lamp_in_media import LampInMedia, enclosed_warnings
 from .marching.marcher import Marcher
 from .marching.ray_march import MarchOptions
 from .network.interfaces import System
-from .occluders.depth_buffer import DepthBuffer
+from .occluders.depth_buffer import DepthBuffer, eye_distances
 from .occluders.occluders import NO_OCCLUDERS, Occluders, find_occluders
 from .occluders.seen_surfaces import vantage
 from .outputs.requested import Outputs
@@ -110,11 +111,14 @@ def _finished_parts(
                 cache = RenderCache()
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
+            outputs = Outputs(settings.outputs, camera)
             scene = prepare_scene(context, volumes, lights, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
-            outputs = Outputs(settings.outputs, camera)
             yield from _render_passes(context, scene, framebuffer, outputs)
+            if scene.eyes is not None:
+                with report.stage("blur"):
+                    framebuffer = framebuffer.joined(camera.window, tasks.each)
             outputs.add_shadow(context, scene, surfaces)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
@@ -179,6 +183,8 @@ def _tiles(
         samples = march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
         if samples is not None:
             estimates = add_scattered_light(context, sources, tile, samples, outputs.moments)
+            if scene.eyes is not None:
+                add_sharpness(scene, tile, samples)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
             if told is not None:
                 told.add(tile, samples, estimates)
@@ -186,8 +192,8 @@ def _tiles(
 
     # Those that show most first, so that no thread waits long for the last one.
     (left, top, *_), tasks = camera.window, context.tasks
-    pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.plan.tiles]
-    windows = [scene.plan.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
+    pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.tiles]
+    windows = [scene.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
     # The light of environments is corrected by light paths.
     sources = prepare_sources(context, scene, channel_pass)
     sources = correct_environments(context, scene, channel_pass, sources)
@@ -201,8 +207,10 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     settings, media = context.settings, scene.media(channels)
     near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
+    # Rays of several eyes share the depth samples of a pixel, and are not alike.
+    shared = 1 if scene.eyes is None else max(scene.eyes.rays // 2, 1)
     options = MarchOptions(
-        settings.depth_samples,
+        -(-settings.depth_samples // shared),
         fluence,
         scene.occluders.shadow_maps,
         scene.plan.groups,
@@ -244,8 +252,10 @@ def prepare_scene(
         grids = cache.grids([volume for volume, _ in asked.volumes], cancel)
     with report.stage("surfaces"):
         covering = [surface for surface in surfaces if surface.covers]
-        ends = covering and camera.projection != "equirectangular"
-        depth_buffer = DepthBuffer(covering, camera, cancel) if ends else None
+        ends = bool(covering) and camera.projection != "equirectangular"
+        eyes = find_eyes(camera, settings.blur_rays)
+        depth_buffer = DepthBuffer(covering, camera, cancel) if ends and (eyes is None or settings.outputs) else None
+        distances = eye_distances(covering, eyes, camera.window, cancel) if ends and eyes is not None else None
         occluders, lit = NO_OCCLUDERS, list(range(len(placed.suns)))
         if grids:
             corners = np.concatenate([grid.corners() for grid in grids])
@@ -256,7 +266,7 @@ def prepare_scene(
     sun_depths, lamps = _shadows(context, plan, grids, surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
     phases = [medium.scattered for _, medium in plan.volumes]
-    see_ahead = len(covering) == len(surfaces) and (depth_buffer is not None or not surfaces)
+    see_ahead = len(covering) == len(surfaces) and (ends or not surfaces)
     network = _load_network(context, plan)
     cache.keep_groups((1 + (plan.reflects or bool(plan.sky))) * len(plan.groups))
     context.progress.message("preparing volumes")
@@ -274,6 +284,8 @@ def prepare_scene(
         sun_depths=sun_depths,
         occluders=occluders,
         depth_buffer=depth_buffer,
+        eyes=eyes,
+        eye_distances=distances,
         extended_lights=ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None,
         groups=groups,
         network=network,

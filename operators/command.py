@@ -146,6 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
         for name, kind, metavar in (
             ("depth-samples", _whole, "N"),
+            ("blur-rays", _whole, "N"),
             ("seed", _whole, "N"),
             ("threads", _whole, "N"),
             ("memory-limit", _number, "GIB"),

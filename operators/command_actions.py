@@ -207,7 +207,7 @@ def _overridden(options: argparse.Namespace) -> Iterator[Settings]:
     """The scene's settings with those of the command line; the scene is restored afterwards."""
     scene = bpy.context.scene
     settings = scene_settings(scene).settings()
-    names = ("depth_samples", "seed", "threads", "model", "provider", "optimizations")
+    names = ("depth_samples", "blur_rays", "seed", "threads", "model", "provider", "optimizations")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if options.memory_limit is not None:
         given["memory_limit"] = options.memory_limit * 2**30

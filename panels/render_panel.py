@@ -179,6 +179,17 @@ class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
         column.prop(context.scene.render, "film_transparent", text="Transparent")
 
 
+class MRPNN_PT_blur(_RenderPanel, bpy.types.Panel):
+    bl_label = "Depth of Field"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: "bpy.types.Context") -> None:
+        settings, column = scene_settings(context.scene), _split(self.layout)
+        column.prop(settings, "blur_rays")
+        column.prop(settings, "viewport_blur")
+
+
 class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
     bl_label = "Performance"
     bl_parent_id = "MRPNN_PT_render"
@@ -276,6 +287,7 @@ classes = (
     MRPNN_PT_forecast,
     MRPNN_PT_plan,
     MRPNN_PT_film,
+    MRPNN_PT_blur,
     MRPNN_PT_performance,
     MRPNN_PT_exr,
     MRPNN_PT_cycles,

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..grids.halving import halve
+from ..numerics.alike import alike_vector
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
@@ -50,7 +51,7 @@ class Skies:
     @classmethod
     def of(cls, environments: Sequence[Environment], rotation: np.ndarray) -> "Skies":
         """The sum of environments, in a frame as of `image_in_frame`; the same object for instances turned alike."""
-        key = rotation.tobytes(), *map(id, environments)
+        key = alike_vector(rotation.ravel()), *map(id, environments)
         known = _skies.get(key)
         if known is not None:
             return known

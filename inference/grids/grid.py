@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A volume at the resolution of its density, for camera rays and single scattering."""
 
+import functools
 import threading
 import weakref
 from collections.abc import Sequence
@@ -18,6 +19,9 @@ from .bounds import filled_bounds
 from .dense_grid import DenseGrid, refined
 from .occupancy import LEAST_CELLS, MOST_CELLS, Occupancy
 from .sun_optical_depth import SunOpticalDepth
+
+# Which corners of a box are the highest, along each axis.
+CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
 
 
 class Voxels:
@@ -104,19 +108,23 @@ class Grid:
 
     def corners(self) -> np.ndarray:
         """World corners (8, 3) of the support."""
+        return self._corners
+
+    @functools.cached_property
+    def _corners(self) -> np.ndarray:
         low, high = self.box
-        ends = np.array(
-            [[(low, high)[b][axis] for axis, b in enumerate((x, y, z))] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-        )
-        return product(ends - self.offset, inverse(self.linear).T)
+        return product(np.where(CORNERS, high, low) - self.offset, self._world_linear.T)
+
+    @functools.cached_property
+    def _world_linear(self) -> np.ndarray:
+        return inverse(self.linear)
 
     def support(self, detail: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Cells outside of which density and emission are 0, bool (x, y, z), and the world positions
         (x + 1, y + 1, z + 1, 3) of their corners. detail: fraction of the cells along an edge that are told apart.
         """
-        cells, faces = self.occupancy.support(max(round(detail * MOST_CELLS), LEAST_CELLS))
-        corners = np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
-        return cells, product(corners - self.offset, inverse(self.linear).T)
+        cells, corners = self.occupancy.support(max(round(detail * MOST_CELLS), LEAST_CELLS))
+        return cells, product(corners - self.offset, self._world_linear.T)
 
     def interval(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,) at which world rays (N, 3) enter and leave the support; entry > exit on a miss."""

@@ -49,9 +49,9 @@ def merge(
     grey = sigma_t.mean(axis=1) / sigma_t.mean(axis=1).max()
     density, totals = np.zeros(shape, np.float32), []
     for grid, factor in zip(grids, grey):
-        values = resampled(grid, grid.density, world_from_index, shape, cancel)
+        reached, values = _resampled_part(grid, grid.density, world_from_index, shape, cancel)
         totals.append(float(values.sum(dtype=np.float64)))
-        density += np.float32(factor) * values
+        density[reached] += np.float32(factor) * values
     amounts = np.array(totals)[:, None]
     extinction = (amounts * sigma_t).sum(axis=0)
     scattering = amounts * sigma_t * [medium.albedo for medium in media]
@@ -67,12 +67,13 @@ def merge(
         channels = [0, 1, 2]
     scattering = [np.zeros(shape, np.float32) for _ in channels]
     for grid, factor, albedo in zip(grids, grey, albedos):
-        resampled_values: dict[int, np.ndarray] = {}
+        known: dict[int, tuple[tuple[slice, ...], np.ndarray]] = {}
         for c, channel in zip(channels, scattering):
             source = grid.scattering_of(c)
-            if id(source) not in resampled_values:
-                resampled_values = {id(source): resampled(grid, source, world_from_index, shape, cancel)}
-            channel += np.float32(factor * (1.0 if grid.scattering else albedo[c])) * resampled_values[id(source)]
+            if id(source) not in known:
+                known = {id(source): _resampled_part(grid, source, world_from_index, shape, cancel)}
+            reached, values = known[id(source)]
+            channel[reached] += np.float32(factor * (1.0 if grid.scattering else albedo[c])) * values
     scattering = [np.minimum(channel, density) for channel in scattering]
     return Volume(density, world_from_index, name, scattering=tuple(scattering)), medium
 
@@ -92,6 +93,20 @@ def resampled(
     x 2 points per voxel where those are the larger voxels. Raises Cancelled.
     """
     out = np.zeros(shape, np.float32)
+    reached, found = _resampled_part(grid, values, world_from_index, shape, cancel, power)
+    out[reached] = found
+    return out
+
+
+def _resampled_part(
+    grid: Grid,
+    values: DenseGrid | SparseGrid,
+    world_from_index: np.ndarray,
+    shape: np.ndarray,
+    cancel: CancelToken,
+    power: int = 1,
+) -> tuple[tuple[slice, ...], np.ndarray]:
+    """As `resampled`: the voxels that the grid's support reaches, and values at these."""
     linear = grid.linear @ world_from_index[:3, :3]
     offset = grid.linear @ world_from_index[:3, 3] + grid.offset
     # Voxels of the other grid that the support can reach.
@@ -99,6 +114,6 @@ def resampled(
     low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
     points = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T
-    reached = out[tuple(map(slice, low, high))]
-    resample(values, power, grid.occupancy, Placement(linear, offset, points).beside(low), reached, cancel)
-    return out
+    out = np.zeros(np.maximum(high - low, 0), np.float32)
+    resample(values, power, grid.occupancy, Placement(linear, offset, points).beside(low), out, cancel)
+    return tuple(map(slice, low, high)), out

@@ -21,7 +21,7 @@ class Occupancy:
     def __init__(self, filled: np.ndarray, peaks: np.ndarray, cell: int, first: np.ndarray):
         self.cell, self.first, self._filled = cell, first, filled
         self._peaks = peaks
-        self._supports: dict[int, tuple[np.ndarray, list[np.ndarray]]] = {}
+        self._supports: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         # Neighbours of filled cells count as filled, and what they hold as near.
         self.filled, self.peaks = _grown(filled), _grown(peaks)
 
@@ -48,15 +48,15 @@ class Occupancy:
             bounds = np.moveaxis(np.maximum(bounds, np.concatenate([bounds[1:], np.zeros_like(bounds[:1])])), 0, axis)
         return np.ascontiguousarray(bounds, np.float32)
 
-    def support(self, most: int = MOST_CELLS) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices (n + 1,) of
-        their faces along each axis. At most `most` along each axis.
+    def support(self, most: int = MOST_CELLS) -> tuple[np.ndarray, np.ndarray]:
+        """Cells outside of which all interpolated values are 0, bool (x, y, z), and the continuous indices
+        (x + 1, y + 1, z + 1, 3) of their corners. At most `most` along each axis.
         """
         if most not in self._supports:
             self._supports[most] = self._support(most)
         return self._supports[most]
 
-    def _support(self, most: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _support(self, most: int) -> tuple[np.ndarray, np.ndarray]:
         # Interpolation reaches a voxel further: cells begin one voxel earlier, and the next cell holds it, too.
         filled = np.pad(self._filled, (0, 1))
         for axis in range(3):
@@ -66,8 +66,9 @@ class Occupancy:
         for axis in range(3):
             filled = np.logical_or.reduceat(filled, np.arange(0, filled.shape[axis], times), axis=axis)
         faces = [(np.arange(n + 1) * times * self.cell - first - 1.0) for n, first in zip(filled.shape, self.first)]
-        return filled, faces
+        return filled, np.stack(np.meshgrid(*faces, indexing="ij"), axis=-1)
 
+    @functools.cached_property
     def share(self) -> float:
         """Fraction of the cells that are filled or have a filled neighbour."""
         return float(self.filled.mean())

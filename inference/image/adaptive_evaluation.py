@@ -105,7 +105,7 @@ def evaluate_adaptively(
     opacity, guide = estimate.opacity()
     safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
     # A pixel whose rays end at different surfaces differs from its neighbours.
-    split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > 1
+    split = np.bincount(estimate.samples.pixel, minlength=len(safe)) > estimate.samples.rays
     # Where the albedo varies, what is interpolated is the mean over what is scattered, so that colours stay sharp.
     scattered = estimate.scattered()
     shown = np.broadcast_to(opacity, estimate.radiance.shape) if scattered is None else scattered
@@ -128,6 +128,7 @@ def evaluate_adaptively(
         error[seen] = estimate.error[seen] / safe[seen]
 
     voxel, shows = estimate.pixels_per_voxel(), opacity > 0.0
+    # Pixels of several rays are joined afterwards, which divides their differences further.
     for stride, least in LEVELS:
         difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
         squares = Squares(window, stride).of(shows).without(interpolated)
@@ -143,7 +144,7 @@ def evaluate_adaptively(
                 weight,
                 single.mean(axis=0),
                 guide,
-                difference / np.sqrt(estimate.context.settings.depth_samples),
+                difference * np.sqrt(estimate.samples.rays / estimate.context.settings.depth_samples),
             )
             smooth, centre_error = smooth & agreeing, np.maximum(centre_error, part_error)
         if split.any():

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera rays of a tile through all volumes: single scattering, emission, alpha, depth, and depths to predict at."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..grids.bound_medium import BoundMedium
+from ..blur.sharpness import Spreads
 from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
@@ -16,7 +15,7 @@ from ..numerics.small_matmul import product
 from ..occluders.depth_buffer import end_rays_at_surfaces
 from ..plan.plan import last_albedo
 from ..scene.camera import Camera
-from ..scene.camera_rays import camera_rays, pixel_rays
+from ..scene.camera_rays import camera_rays, pixel_rays, places_in_image
 from ..scene.errors import SceneError
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .framebuffer import Framebuffer, add_at, summed
@@ -47,7 +46,8 @@ class TileRays:
     """Camera rays that are marched: R of them.
 
     batch: RayBatch. pixel: int (R,), of the tile, ascending. offsets: (R,) in [0, 1), jitter of lookups. share: (R,),
-    fraction of the pixel that each ray stands for. free: (R,), fraction of the ray that no surface ends.
+    fraction of the pixel that each ray stands for. free: (R,), fraction of the ray that no surface ends. rays: through
+    each whole pixel.
     """
 
     batch: RayBatch
@@ -55,6 +55,18 @@ class TileRays:
     offsets: np.ndarray
     share: np.ndarray
     free: np.ndarray
+    rays: int = 1
+
+    def take(self, some: np.ndarray) -> "TileRays":
+        """Some of the rays."""
+        return TileRays(
+            batch=self.batch.take(some),
+            pixel=self.pixel[some],
+            offsets=self.offsets[some],
+            share=self.share[some],
+            free=self.free[some],
+            rays=self.rays,
+        )
 
 
 def march_tile(
@@ -82,7 +94,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
             f"a camera ray would take {longest:.2g} steps, because one volume's voxels are tiny compared to the path "
             "through another; render volumes of such different sizes in view layers of their own"
         )
-    size = _rays_per_task(context, scene, counts)
+    size = _rays_per_task(channel_pass, counts)
     shade, parts, features, of_lamps = Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
     means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
@@ -126,6 +138,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         detail=rays.batch.detail,
         volumes=None if channel_pass.whole is None else channel_pass.volumes,
         groups=None if channel_pass.whole is None else channel_pass.groups,
+        rays=rays.rays,
     )
     report.count("points", len(samples.ray))
     _hold_out(tile.framebuffer, channel_pass, samples)
@@ -144,10 +157,30 @@ def _hold_out(framebuffer: Framebuffer, channel_pass: ChannelPass, samples: Dept
             image[image < HELD] = 0.0
 
 
+def add_sharpness(scene: PreparedScene, tile: Tile, samples: DepthSamples) -> None:
+    """Add to the tile how sharp its pixels are: at depth samples, and where surfaces end rays."""
+    assert scene.eyes is not None
+    (left, top, *_), window = scene.camera.window, tile.camera.window
+    pixel, distance, weight = samples.pixel[samples.ray], samples.distance, samples.weight
+    if scene.eye_distances is not None:
+        x0, y0, x1, y1 = window
+        ends = scene.eye_distances[y0 - top : y1 - top, x0 - left : x1 - left].ravel()
+        hit = np.flatnonzero(np.isfinite(ends))
+        pixel = np.concatenate([pixel, hit // scene.eyes.rays])
+        distance = np.concatenate([distance, ends[hit]])
+        weight = np.concatenate([weight, np.full(len(hit), 1.0 / scene.eyes.rays)])
+    if not len(pixel):
+        return
+    spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()))
+    found, image = spreads.sharpness(pixel, distance), tile.framebuffer.sharpness
+    for number, values in enumerate((*(found * weight[:, None]).T, weight)):
+        image[:, number] += np.bincount(pixel, values, len(image))
+
+
 def estimate_march(
-    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera
+    context: RenderContext, channel_pass: ChannelPass, camera: Camera, rays: int = 1
 ) -> tuple[float, float]:
-    """Approximate number of steps evaluated on a camera's rays, and of their depth samples.
+    """Approximate number of steps evaluated on a camera's rays, so many per pixel, and of their depth samples.
 
     Marches one pixel in PILOT x PILOT. Raises Cancelled.
     """
@@ -161,21 +194,21 @@ def estimate_march(
     if left >= right or top >= bottom:
         return 0.0, 0.0
     origins, directions, near, far = camera_rays(replace(pilot, region=(left, top, right, bottom)))
-    near, far = ray_intervals(channel_pass.media, origins, directions, (near, far))
+    near, far = channel_pass.march.boxes.intervals(origins, directions, (near, far))
     hit = np.flatnonzero(near < far)
     batch = channel_pass.detailed(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
     steps, samples = 0, 0
-    size = _rays_per_task(context, scene, channel_pass.step_counts(batch)) if len(hit) else 1
+    size = _rays_per_task(channel_pass, channel_pass.step_counts(batch)) if len(hit) else 1
     for start in range(0, len(hit), size):
         context.cancel.check()
         segment = channel_pass.march(batch.take(slice(start, start + size)))
         steps, samples = steps + segment.steps_evaluated, samples + len(segment.sample_ray)
-    return float(steps * sparse.prod()), float(samples * sparse.prod())
+    return float(steps * sparse.prod() * rays), float(samples * sparse.prod() * rays)
 
 
-def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndarray) -> int:
+def _rays_per_task(channel_pass: ChannelPass, counts: np.ndarray) -> int:
     """Number of rays that are marched together; counts: int (R,), steps of each ray."""
-    evaluated = counts.max() * min(sum(grid.occupancy.share() for grid in scene.grids), 1.0)
+    evaluated = counts.max() * min(sum(medium.grid.occupancy.share for medium in channel_pass.media), 1.0)
     steps = STEPS_PER_TASK
     return int(np.clip(steps / evaluated, 16, 4096))
 
@@ -244,7 +277,7 @@ def _means_around_lamps(scene: PreparedScene, channel_pass: ChannelPass, tile: T
 
     def intervals(origins: np.ndarray, directions: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         clip = [end / cosine for end in camera.clip]
-        return ray_intervals(channel_pass.media, origins, directions, clip)
+        return channel_pass.march.boxes.intervals(origins, directions, clip)
 
     pixels = np.where(rays.share < 1.0, -1, columns), rows
     return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
@@ -255,7 +288,7 @@ class Shading:
 
     def __init__(self, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera):
         suns = scene.plan.suns
-        self.extended_lights, self.camera = scene.extended_lights, camera
+        self.extended_lights, self.camera, self.eyes = scene.extended_lights, camera, scene.eyes is not None
         self.directions = np.array([sun.direction for sun in suns]).reshape(-1, 3)
         self.extended = [number for number, sun in enumerate(suns) if sun.spread is not None]
         self.phases = [medium.medium.scattered for medium in channel_pass.media]
@@ -266,9 +299,7 @@ class Shading:
         phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
         if self.extended_lights is None:
             return segment.single * phase[..., None]
-        x0, y0, x1, _ = self.camera.window
-        row, column = np.divmod(pixel, x1 - x0)
-        towards, ahead = self.extended_lights.phase(column + x0 + 0.5, row + y0 + 0.5)
+        towards, ahead = self.extended_lights.phase(*places_in_image(self.camera, pixel, batch.directions, self.eyes))
         phase[..., self.extended] = towards
         # Light from ahead is attenuated along the whole ray, wherever it scatters.
         depth = segment.optical_depth
@@ -288,46 +319,61 @@ def tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Channe
         return None
     x0, y0, x1, _ = tile.camera.window
     rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
-    origins, directions, *clip = pixel_rays(tile.camera, columns, rows)
-    offsets = lookup_offsets(columns, rows, context.settings.seed)
-    near, far = ray_intervals(channel_pass.media, origins, directions, clip)
-    share, free = np.ones((2, len(near)))
-    if scene.depth_buffer is not None:
-        with report.stage("surfaces"):
-            ended = end_rays_at_surfaces(scene.depth_buffer, (columns, rows), (near, far), context.cancel)
-        far, share, free = ended.far, ended.share, ended.free
-        pixel, origins, directions, offsets, near = (
-            values[ended.pixel] for values in (pixel, origins, directions, offsets, near)
-        )
-    hit = near < far
-    report.count("rays that miss every volume", len(near) - np.count_nonzero(hit))
+    eyes = scene.eyes
+    if eyes is None:
+        rays = _rays_of_pixels(context, scene, channel_pass, tile, (columns, rows))
+    else:
+        rays = _rays_of_eyes(context, scene, channel_pass, tile, eyes.of_pixels(columns, rows))
+    hit = rays.batch.near < rays.batch.far
+    report.count("rays that miss every volume", len(hit) - np.count_nonzero(hit))
     report.count("rays marched", np.count_nonzero(hit))
     if not hit.any():
         return None
-    rays = TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
-    if not hit.all():
-        batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
-        rays = TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
+    rays = rays if hit.all() else rays.take(hit)
     return replace(rays, batch=channel_pass.detailed(rays.batch))
 
 
-def ray_intervals(
-    media: Sequence[BoundMedium],
-    origins: np.ndarray,
-    directions: np.ndarray,
-    clip: Sequence[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals in which rays meet any medium that attenuates or emits: near and far (P,), near > far on a miss.
+def _rays_of_pixels(
+    context: RenderContext,
+    scene: PreparedScene,
+    channel_pass: ChannelPass,
+    tile: Tile,
+    pixels: tuple[np.ndarray, np.ndarray],
+) -> TileRays:
+    """Rays through the centres of the tile's pixels, columns and rows (N,); several where surfaces end them apart."""
+    origins, directions, *clip = pixel_rays(tile.camera, *pixels)
+    offsets = lookup_offsets(*pixels, context.settings.seed)
+    near, far = channel_pass.march.boxes.intervals(origins, directions, clip)
+    rays = TileRays(RayBatch(origins, directions, near, far), tile.shown, offsets, *np.ones((2, len(near))))
+    if scene.depth_buffer is None:
+        return rays
+    with tile.report.stage("surfaces"):
+        ended = end_rays_at_surfaces(scene.depth_buffer, pixels, (near, far), context.cancel)
+    rays = rays.take(ended.pixel)
+    return replace(rays, batch=replace(rays.batch, far=ended.far), share=ended.share, free=ended.free)
 
-    clip: distances (P,) to the near and the far clipping plane.
-    """
-    clip_near, clip_far = clip
-    near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-    for medium in media:
-        if medium.matters:
-            enter, leave = medium.grid.interval(origins, directions)
-            enter, leave = np.maximum(enter, clip_near), np.minimum(leave, clip_far)
-            hits = enter < leave
-            near[hits] = np.minimum(near[hits], enter[hits])
-            far[hits] = np.maximum(far[hits], leave[hits])
-    return near, far
+
+def _rays_of_eyes(
+    context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, numbers: np.ndarray
+) -> TileRays:
+    """Rays of eyes, by number (N, R), through the tile's pixels."""
+    eyes, (x0, y0, x1, _) = scene.eyes, tile.camera.window
+    assert eyes is not None
+    pixel, number = np.repeat(tile.shown, eyes.rays), numbers.ravel()
+    rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
+    origins, directions = np.empty((2, len(pixel), 3))
+    clip = np.empty((2, len(pixel)))
+    order = np.argsort(number, kind="stable")
+    for some in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        eye = eyes.cameras[number[some[0]]]
+        origins[some], directions[some], *ends = pixel_rays(eye, columns[some], rows[some])
+        clip[:, some] = ends
+    offsets = lookup_offsets(columns, rows, context.settings.seed) + number % eyes.rays * PLASTIC[0]
+    near, far = channel_pass.march.boxes.intervals(origins, directions, list(clip))
+    share, free = np.full(len(pixel), 1.0 / eyes.rays), np.ones(len(pixel))
+    if scene.eye_distances is not None:
+        left, top, *_ = scene.camera.window
+        ends = scene.eye_distances[rows - top, columns - left, number % eyes.rays]
+        far, free = np.minimum(far, ends), np.isinf(ends).astype(float)
+    batch = RayBatch(origins, directions, near, far)
+    return TileRays(batch, pixel, offsets - np.floor(offsets), share, free, eyes.rays)

@@ -2,11 +2,12 @@
 """What a render holds while it runs."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..blur.eyes import Eyes
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
@@ -18,6 +19,7 @@ from ..marching.ray_steps import RayBatch, step_counts
 from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
 from ..network.uncertainty import UncertaintyNetwork
+from ..numerics.alike import alike, alike_vector
 from ..occluders.depth_buffer import DepthBuffer
 from ..occluders.occluders import Occluders
 from ..plan.plan import Channels, Plan
@@ -60,7 +62,8 @@ class PreparedScene:
     plan, with what lies between them and the volumes. open_groups: as groups, without what surfaces hide from the
     middle of the volumes; empty where they hide nothing.
     environments: the plan's, and what surfaces emit and throw back. thrown_back: the one of them that is the latter, or
-    None.
+    None. eyes: that sample the camera's lens, None without one. eye_distances: as of the function of that
+    name, of surfaces that cover volumes, or None.
     """
 
     plan: Plan
@@ -78,6 +81,13 @@ class PreparedScene:
     lamps: list[LampInMedia] = field(default_factory=list)
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
     thrown_back: Environment | None = None
+    eyes: Eyes | None = None
+    eye_distances: np.ndarray | None = None
+
+    @property
+    def sharp(self) -> "PreparedScene":
+        """As the middle of the lens sees it."""
+        return self if self.eyes is None else replace(self, eyes=None, eye_distances=None)
 
     def opened(self, group: int) -> ScatteringGroup | None:
         """A group without what surfaces hide from the middle of the volumes."""
@@ -103,18 +113,57 @@ class PreparedScene:
 
     @functools.cached_property
     def _shown(self) -> tuple[np.ndarray, np.ndarray]:
-        return shown_pixels(self.camera, self.grids)
+        return shown_pixels(self.camera, self.grids, self.eyes)
 
     @functools.cached_property
     def _seen(self) -> SeenVolumes:
         return SeenVolumes(self._shown[1], self.corners, [sun.direction for sun in self.plan.suns])
 
+    @functools.cached_property
+    def _group_of(self) -> np.ndarray:
+        """int (V,), number of each volume's group."""
+        numbers = np.empty(len(self.grids), int)
+        for g, members in enumerate(self.plan.groups):
+            numbers[members] = g
+        return numbers
+
     def groups_in(self, window: Window) -> list[int]:
         """Groups of volumes that matter to rays of a part of the image."""
         if len(self.plan.groups) == 1 or "missed_pixels" not in self.plan.optimizations:
             return list(range(len(self.plan.groups)))
-        volumes = set(self._seen(window).tolist())
-        return [g for g, members in enumerate(self.plan.groups) if not volumes.isdisjoint(members)]
+        return np.unique(self._group_of[self._seen(window)]).tolist()
+
+    def cut(self, windows: Sequence[Window]) -> list[Window]:
+        """Windows of the image in parts, each of which shows few volumes."""
+        if len(self.plan.groups) == 1 or "missed_pixels" not in self.plan.optimizations:
+            return list(windows)
+        return [part for window in windows for part in self._seen.cut(window)]
+
+    @functools.cached_property
+    def tiles(self) -> list[Window]:
+        """Windows of the image, each of which one thread renders."""
+        return self.cut(self.plan.tiles)
+
+    def alike(self, channels: Channels) -> list[list[int]]:
+        """Groups in which multiple scattering is predicted, those together that differ in where they lie alone."""
+        found: dict[Hashable, list[int]] = {}
+        for g, _ in self.predicted(channels):
+            found.setdefault(self._alike(g, channels), []).append(g)
+        return list(found.values())
+
+    def _alike(self, g: int, channels: Channels) -> Hashable:
+        """Equal for groups that are alike."""
+        group, plan = self.groups[g], self.plan
+        assert group is not None
+        placed = (
+            self.lamps or self.occluders or any(environment.weight is not None for environment in self.environments)
+        )
+        if placed or len(plan.groups[g]) > 1 or group.volume.scattering is not None:
+            return g
+        medium, cube = group.medium, group.predictor.cube
+        lit = tuple(sun.lights(group.volume.name) for sun in plan.suns)
+        sigma_hat = alike(medium.sigma_t[channels.indices[0]] * cube.edge)
+        return group.predictor.kind, sigma_hat, alike_vector(cube.rotation.ravel()), medium.albedo.tobytes(), lit
 
     def predicted(self, channels: Channels) -> list[tuple[int, ScatteringGroup]]:
         """Groups, with their numbers, in which multiple scattering is predicted in some colour channels."""
@@ -165,8 +214,8 @@ class ChannelPass:
         return np.array([bound.medium.holdout for bound in self.media], bool)
 
     def step_counts(self, rays: RayBatch) -> np.ndarray:
-        """As the function of that name, for all volumes, whichever are marched through."""
-        return step_counts((self.whole or self).media, rays)
+        """As the function of that name."""
+        return step_counts(self.march.boxes, rays)
 
     def detailed(self, rays: RayBatch) -> RayBatch:
         """Rays with as many depth samples as the light of lamps near them needs."""

@@ -15,11 +15,11 @@ import numpy as np
 from ..environments.environment_light import ROWS, Skies
 from ..grids.working_cube import Cube
 from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
-from ..marching.ray_steps import RayBatch
+from ..marching.ray_steps import Boxes, RayBatch
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
-from .camera_pass import march_tile, ray_intervals
+from .camera_pass import march_tile
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
 from .scattered_light import TileEstimate
 from .sources import Source
@@ -85,7 +85,7 @@ def _compare(
     if not paths:
         return np.ones(channels)
     media = ScatteringMedia([medium for medium in channel_pass.media if medium.sigma_t > 0.0], indices)
-    opened = scene.opened(sources[0].group)
+    opened = scene.opened(sources[0].groups[0])
     assert opened is not None
     cube = opened.predictor.cube
     skies = Skies.of(scene.environments, cube.rotation)
@@ -164,7 +164,13 @@ def _meeting_rays(context: RenderContext, scene: PreparedScene, channel_pass: Ch
         size = np.maximum(np.round(np.array(scene.camera.resolution) * min(edge / longest, 1.0)), 1).astype(int)
         camera = replace(scene.camera, resolution=tuple(size.tolist()), region=None)
         origins, directions, *clip = camera_rays(camera)
-        near, far = ray_intervals(channel_pass.media, origins, directions, clip)
+        near, far = np.full((2, len(origins)), [[np.inf], [-np.inf]])
+        coarse = replace(scene, camera=camera, eyes=None)
+        pixels = np.arange(len(origins)).reshape(camera.resolution[::-1])
+        for x0, y0, x1, y1 in coarse.cut([camera.window]):
+            groups, some = coarse.groups_in((x0, y0, x1, y1)), pixels[y0:y1, x0:x1].ravel()
+            boxes = channel_pass.through(groups).march.boxes if groups else Boxes.of(())
+            near[some], far[some] = boxes.intervals(origins[some], directions[some], [ends[some] for ends in clip])
         meet = np.flatnonzero(near < far)
         if len(meet) >= count or edge >= min(longest, MOST_EDGE):
             break
@@ -188,23 +194,34 @@ def _predicted(
     width, height = rays.camera.resolution
     shown = np.zeros(width * height, bool)
     shown[rays.pixels] = True
-    tile = Tile.of(rays.camera, rays.camera.window, shown.reshape(height, width))
-    samples = march_tile(context, replace(scene, depth_buffer=None), channel_pass, tile)
+    coarse, parts = replace(scene, depth_buffer=None, camera=rays.camera, eyes=None), []
     light, opacity = np.zeros((len(channel_pass.channels.indices), width * height)), np.zeros(width * height)
-    if samples is None:
-        return rays.take(slice(0)), light[:, :0], opacity[:0]
-    samples = samples.nodes
-    pixel = samples.pixel[samples.ray]
-    np.add.at(opacity, pixel, samples.weight)
+    for window in coarse.cut([rays.camera.window]):
+        tile, groups = Tile.of(rays.camera, window, shown.reshape(height, width)), coarse.groups_in(window)
+        marched = march_tile(context, coarse, channel_pass.through(groups), tile) if groups else None
+        if marched is not None:
+            samples = marched.nodes
+            row, column = np.divmod(samples.pixel[samples.ray], window[2] - window[0])
+            # Of the whole image.
+            pixel = (row + window[1]) * width + column + window[0]
+            np.add.at(opacity, pixel, samples.weight)
+            parts.append((tile, samples, pixel))
     lit = np.flatnonzero(opacity[rays.pixels] > MIN_ALPHA)
     rays = rays.take(_spread(lit, count))
-    wanted = np.isin(pixel, rays.pixels)
-    for source in sources:
-        estimate = TileEstimate(context, samples, tile, source)
-        estimate.evaluate(np.flatnonzero(wanted & (samples.share(source.members) > 0.0)))
-        for row, radiance in zip(source.rows, estimate.radiance):
-            for c in row.channels:
-                light[channel_pass.channels.indices.index(c)] += radiance
+    for tile, samples, pixel in parts:
+        (x0, y0, x1, y1), wanted = tile.camera.window, np.isin(pixel, rays.pixels)
+        within = light.reshape(-1, height, width)[:, y0:y1, x0:x1]
+        for source in (source.within(samples.volumes) for source in sources):
+            if not source.members:
+                continue
+            some = np.flatnonzero(wanted & (samples.share(source.members) > 0.0))
+            if not len(some):
+                continue
+            estimate = TileEstimate(context, samples, tile, source)
+            estimate.evaluate(some)
+            for row, radiance in zip(source.rows, estimate.radiance):
+                for c in row.channels:
+                    within[channel_pass.channels.indices.index(c)] += radiance.reshape(y1 - y0, x1 - x0)
     return rays, light[:, rays.pixels], opacity[rays.pixels]
 
 

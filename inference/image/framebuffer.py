@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..blur.reconstruction import join
+
 # (x0, y0, x1, y1): upper left pixel inclusive, lower right exclusive.
 Window = tuple[int, int, int, int]
 
@@ -16,8 +18,9 @@ class Framebuffer:
     """Images of P pixels, row by row.
 
     single, multiple, emission: float32 (P, 3). alpha, depth: float32 (P,). As in `layer.Layer`, except that depth is
-    the sum of distance times opacity. uncertainty, deviation: float32 (P,), standard errors of `multiple`, mean over
-    the channels, due to depth sampling and interpolation, and of what predicts it.
+    the sum of distance times opacity. sharpness: float32 (P, 4), of blurred pictures, as of `blur.reconstruction`.
+    uncertainty, deviation: float32 (P,), standard errors of `multiple`, mean over the channels, due to depth sampling
+    and interpolation, and of what predicts it.
     """
 
     single: np.ndarray
@@ -27,6 +30,7 @@ class Framebuffer:
     depth: np.ndarray
     uncertainty: np.ndarray
     deviation: np.ndarray
+    sharpness: np.ndarray
 
     @classmethod
     def black(cls, pixels: int, mapper: Callable[..., Iterable[None]] = map) -> "Framebuffer":
@@ -36,7 +40,14 @@ class Framebuffer:
         deque(mapper(lambda image: image.fill(0.0), [*colours, *numbers]), maxlen=0)
         # Where nothing emits, its memory is never written to, and takes neither time nor space.
         single, multiple = colours
-        return cls(single, multiple, np.zeros((pixels, 3), np.float32), *numbers)
+        emission, sharpness = (np.zeros((pixels, values), np.float32) for values in (3, 4))
+        return cls(*[single, multiple, emission, *numbers, sharpness])
+
+    def joined(self, window: Window, mapper: Callable[..., Iterable[None]]) -> "Framebuffer":
+        """The framebuffer of a blurred picture, with pixels joined that show the same."""
+        *images, sharpness = self._images(window)
+        joined = [*join(images, sharpness, mapper), sharpness]
+        return Framebuffer(*(image.reshape(-1, *image.shape[2:]) for image in joined))
 
     def radiances(self) -> list[np.ndarray]:
         """Its images that are in proportion to the light: all but alpha and depth."""

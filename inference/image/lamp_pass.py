@@ -95,7 +95,7 @@ def _worthwhile(lamp: LampInMedia, medium: BoundMedium, pixels: int) -> bool:
         return False
     if grid.density.padded.size > MOST_VOXELS or medium.voxel_thickness > THICKEST_VOXEL:
         return False
-    return pixels * CROSSED * max(grid.shape) > grid.density.padded.size * min(grid.occupancy.share(), 1.0)
+    return pixels * CROSSED * max(grid.shape) > grid.density.padded.size * min(grid.occupancy.share, 1.0)
 
 
 def placed_lamps(

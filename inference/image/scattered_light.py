@@ -8,6 +8,7 @@ import numpy as np
 from ..marching.depth_samples import DepthSamples
 from ..network.estimators import LitPoints
 from ..network.predictor import POINTS_PER_TASK
+from ..scene.camera_rays import places_in_image
 from .adaptive_evaluation import distance_guide, evaluate_adaptively, pixels_per_voxel, sample_batches, scattered_shares
 from .adaptive_interpolation import Guide
 from .context import RenderContext, Tile
@@ -26,7 +27,8 @@ def add_scattered_light(
     estimates = []
     with tile.report.stage("network"):
         for source in sources:
-            if not samples.meets(source.members):
+            source = source.within(samples.volumes)
+            if not source.members or not samples.meets(source.members):
                 continue
             asked = samples if source.needs_detail else samples.nodes
             inside = np.flatnonzero(asked.share(source.members))
@@ -71,15 +73,23 @@ class TileEstimate:
         """moments: D, of the radiance."""
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
-        self.camera = tile.camera
+        self.camera, self.blurred = tile.camera, samples.rays > 1
         self.share = samples.share(source.members)
         self.pixel = samples.pixel[samples.ray]
         self.radiance, self.quantities = np.zeros((moments * len(source.rows), pixels)), source.channels
         self._moments = samples.legendre_means(self.share, moments) if moments > 1 else np.ones((1, 1))
         self.error = np.zeros(pixels, np.float32)
         self._sparse = None if source.estimator.uncertainty is None else SparseDeviation(tile.camera)
-        # Samples whose error is to be told: numbers and what was predicted, (A, N, ...).
-        self._told: list[tuple[np.ndarray, np.ndarray]] = []
+        # Which of several groups each sample is in, in turn where these overlap; None for the only one.
+        self._turns: list[np.ndarray | None] = [None]
+        if source.frames is not None:
+            self._turns = [*samples.turns(source.members)]
+            self._members, self._places = (
+                np.array(source.members),
+                np.array(list(map(samples.place_of_group, source.groups))),
+            )
+        # Samples whose error is to be told: numbers and what was predicted, (A, N, ...), by turn.
+        self._told: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self._turns]
         self._depths: np.ndarray | None = None
         if source.estimator.needs_depths:
             behind, whole = samples.optical_depths()
@@ -90,48 +100,60 @@ class TileEstimate:
         source, estimator = self.source, self.source.estimator
         # Contribution of each sample to the mean of the three channels.
         parts = np.zeros(len(self.pixel), np.float32)
-        for done in sample_batches(points):
-            self.context.cancel.check()
-            asked, pixel = self._asked(done), self.pixel[done]
-            predicted = estimator.predict(asked)
-            weight, mean, told = self._weight(done), np.zeros(len(done)), estimator.radiance(predicted, asked)
-            for number, row in enumerate(source.rows):
-                if row.quantity in told:
-                    added = weight[:, number] * told[row.quantity]
-                    add_at(self.radiance[number], pixel, added)
-                    for degree, mean_there in enumerate(self._moments[1:], 1):
-                        add_at(self.radiance[degree * len(source.rows) + number], pixel, added * mean_there[done])
-                    mean += len(row.channels) * added
-            parts[done] = mean / 3.0
-            if self._sparse is not None:
-                known = np.flatnonzero(self._sparse.known[pixel])
-                self._told.append((done[known], predicted[:, known]))
+        for turn, told_of_turn in zip(self._turns, self._told):
+            within = points if turn is None else points[turn[points] >= 0]
+            for done in sample_batches(within):
+                self.context.cancel.check()
+                asked, pixel = self._asked(done, turn), self.pixel[done]
+                predicted = estimator.predict(asked)
+                weight, mean, told = self._weight(done, turn), np.zeros(len(done)), estimator.radiance(predicted, asked)
+                for number, row in enumerate(source.rows):
+                    if row.quantity in told:
+                        added = weight[:, number] * told[row.quantity]
+                        add_at(self.radiance[number], pixel, added)
+                        for degree, mean_there in enumerate(self._moments[1:], 1):
+                            add_at(self.radiance[degree * len(source.rows) + number], pixel, added * mean_there[done])
+                        mean += len(row.channels) * added
+                parts[done] += mean / 3.0
+                if self._sparse is not None:
+                    known = np.flatnonzero(self._sparse.known[pixel])
+                    told_of_turn.append((done[known], predicted[:, known]))
+            if estimator.answers:
+                self.report.count("network points", len(within))
+                self.report.count("network answers", len(within) * estimator.answers)
         if len(points) and source.adaptive:
             add_at(self.error, *self.samples.standard_error(parts, points))
-        if estimator.answers:
-            self.report.count("network points", len(points))
-            self.report.count("network answers", len(points) * estimator.answers)
 
-    def _weight(self, points: np.ndarray) -> np.ndarray:
+    def _weight(self, points: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
         """What of light at some samples arrives at the camera, (N, K)."""
         source = self.source
-        return self.samples.scattered(points, source.members, source.scattered, source.places)
+        if turn is None:
+            return self.samples.scattered(points, source.members, source.scattered, source.places)
+        group = turn[points]
+        return self.samples.scattered_by(points, self._members[group], source.scattered[group], source.places)
 
-    def _asked(self, points: np.ndarray | slice) -> LitPoints:
+    def _asked(self, points: np.ndarray | slice, turn: np.ndarray | None) -> LitPoints:
         """Some samples, as an estimator is asked at them."""
         samples = self.samples
-        x0, y0, x1, _ = self.camera.window
-        row, column = np.divmod(self.pixel[points], x1 - x0)
+        directions = samples.directions[samples.ray[points]]
+        positions, place, numbers = samples.positions(points), samples.place_of_group(self.source.groups[0]), points
+        if turn is not None:
+            assert self.source.frames is not None
+            numbers = np.arange(len(turn))[points]
+            # Where no group is, anything is told.
+            group = np.maximum(turn[points], 0)
+            frame, place = self.source.frames[group], self._places[group]
+            positions = frame[:, :1] * positions + frame[:, 1:]
         return LitPoints(
-            positions=samples.positions(points),
-            directions=samples.directions[samples.ray[points]],
+            positions=positions,
+            directions=directions,
             jitter=None if isinstance(points, slice) else samples.jitter(points),
-            numbers=points,
-            group=samples.place_of_group(self.source.group),
+            numbers=numbers,
+            group=place,
             suns=samples.features,
             lamps=samples.lamp_features,
             depths=self._depths,
-            image=(column + x0 + 0.5, row + y0 + 0.5),
+            image=places_in_image(self.camera, self.pixel[points], directions, self.blurred),
         )
 
     def deviation(self) -> np.ndarray:
@@ -140,19 +162,23 @@ class TileEstimate:
         if network is None or self._sparse is None:
             relative = np.array([row.relative * len(row.channels) / 3.0 for row in source.rows])
             return np.einsum("k,kp->p", relative, self.radiance[: len(relative)]).astype(np.float32)
-        if self._told:
-            points, predicted = (np.concatenate(parts, axis=-1) for parts in zip(*self._told))
+        for turn, told in zip(self._turns, self._told):
+            if not told:
+                continue
+            points, predicted = (np.concatenate(parts, axis=-1) for parts in zip(*told))
             order = np.argsort(points)
             points, predicted = points[order], predicted[:, order]
             for start in range(0, len(points), POINTS_PER_TASK):
                 span = slice(start, start + POINTS_PER_TASK)
-                self._add_deviation(self._sparse, points[span], predicted[:, span])
+                self._add_deviation(self._sparse, points[span], turn, predicted[:, span])
         light = source.mean(self.radiance) * (source.channels / 3.0)
         return self._sparse.everywhere(light, network.typical)
 
-    def _add_deviation(self, sparse: SparseDeviation, points: np.ndarray, predicted: np.ndarray) -> None:
+    def _add_deviation(
+        self, sparse: SparseDeviation, points: np.ndarray, turn: np.ndarray | None, predicted: np.ndarray
+    ) -> None:
         """Tell the error of what was predicted at some samples, (A, N, ...)."""
-        source, asked, weight = self.source, self._asked(points), self._weight(points)
+        source, asked, weight = self.source, self._asked(points, turn), self._weight(points, turn)
         told = source.estimator.radiance(source.estimator.deviation(predicted, asked), asked)
         deviations = np.zeros(len(points))
         for number, row in enumerate(source.rows):
@@ -178,7 +204,9 @@ class TileEstimate:
         ahead = []
         for start in range(0, len(self.pixel), SAMPLES_PER_CHECK):
             self.context.cancel.check()
-            light = self.source.estimator.light_ahead(self._asked(slice(start, start + SAMPLES_PER_CHECK)))
+            light = self.source.estimator.light_ahead(
+                self._asked(slice(start, start + SAMPLES_PER_CHECK), self._turns[0])
+            )
             if light is None:
                 return None
             ahead.append(light)

@@ -2,31 +2,77 @@
 """Which volumes a part of the image shows, and which others shadow these."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from ..blur.eyes import Eyes
 from ..grids.grid import Grid
+from ..plan.plan import make_tiles
+from ..plan.resolution import BAND
 from ..scene.camera import Camera
-from ..scene.camera_rays import pixels_around
+from ..scene.camera_rays import pixels_around, windows_around
 from .framebuffer import Window
 
+# Pixels around a volume that are not told apart.
+SMALL = 256
+# Volumes of a part of the image above which it is cut, down to a band of pixels, and those that are compared in pairs.
+MOST_VOLUMES, MOST_PAIRED = 16, 64
+# Edge in pixels of the squares in which several eyes' pixels are told apart.
+SQUARE = 8
 
-def shown_pixels(camera: Camera, grids: Sequence[Grid]) -> tuple[np.ndarray, np.ndarray]:
+
+def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of the camera's window that may show a volume, bool (rows, columns), and the windows of each, int (V, 4).
 
-    Windows (x0, y0, x1, y1) are of the image; those of volumes that are not seen are empty.
+    Windows (x0, y0, x1, y1) are of the image; those of volumes that are not seen are empty. eyes: of the camera.
     """
     x0, y0, x1, y1 = camera.window
-    shown, windows = np.zeros((y1 - y0, x1 - x0), bool), np.zeros((len(grids), 4), int)
+    shown = np.zeros((y1 - y0, x1 - x0), bool)
+    boxes = np.array([grid.corners() for grid in grids]).reshape(-1, 8, 3)
+    windows = windows_around(camera, boxes) if eyes is None else _windows_around(eyes, boxes)
     # The more volumes there are, the smaller each is in the picture.
-    detail = max(len(grids), 1) ** (-1.0 / 3.0)
-    for window, grid in zip(windows, grids):
-        around = pixels_around(camera, *grid.support(detail))
+    detail = max(len(grids), 1) ** (-1.0 / 3.0) * (1.0 if eyes is None else 0.5)
+    sizes = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
+    for n in np.flatnonzero(sizes > 0):
+        left, top, right, bottom = windows[n] - [x0, y0, x0, y0]
+        if sizes[n] <= SMALL:
+            shown[top:bottom, left:right] = True
+            continue
+        cells, corners = grids[n].support(detail)
+        around = pixels_around(camera, cells, corners) if eyes is None else _around(camera, eyes, cells, corners)
         rows, columns = np.flatnonzero(around.any(axis=1)), np.flatnonzero(around.any(axis=0))
+        windows[n] = 0
         if len(rows):
-            window[:] = x0 + columns[0], y0 + rows[0], x0 + columns[-1] + 1, y0 + rows[-1] + 1
+            windows[n] = x0 + columns[0], y0 + rows[0], x0 + columns[-1] + 1, y0 + rows[-1] + 1
             shown[rows[0] : rows[-1] + 1] |= around[rows[0] : rows[-1] + 1]
     return shown, windows
+
+
+def _windows_around(eyes: Eyes, corners: np.ndarray) -> np.ndarray:
+    """As `windows_around`, of all eyes together."""
+    windows = np.stack([windows_around(eye, corners) for eye in eyes.cameras])
+    seen = (windows[..., 2:] > windows[..., :2]).all(axis=2, keepdims=True)
+    low = np.where(seen, windows[..., :2], np.iinfo(windows.dtype).max).min(axis=0)
+    high = np.where(seen, windows[..., 2:], 0).max(axis=0)
+    return np.concatenate([np.minimum(low, high), high], axis=1)
+
+
+def _around(camera: Camera, eyes: Eyes, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """As `pixels_around`, of all eyes together."""
+    (width, height), (x0, y0, x1, y1) = camera.resolution, camera.window
+    across = -(-width // SQUARE)
+    scale = across / width
+    down = int(np.ceil(height * scale))
+    found = np.zeros((down + 2, across + 2), bool)
+    for eye in eyes.cameras:
+        found[1:-1, 1:-1] |= pixels_around(replace(eye, resolution=(across, down), region=None), cells, corners)
+    # The middle of the image stays where it is, which moves rows by less than a square.
+    found[:, 1:-1] |= found[:, :-2] | found[:, 2:]
+    found[1:-1] |= found[:-2] | found[2:]
+    columns = ((np.arange(x0, x1) + 0.5) * scale).astype(int)
+    rows = ((np.arange(y0, y1) + 0.5 - 0.5 * height) * scale + 0.5 * down).astype(int)
+    return found[1 + np.clip(rows, 0, down - 1)[:, None], 1 + np.clip(columns, 0, across - 1)]
 
 
 class SeenVolumes:
@@ -45,14 +91,33 @@ class SeenVolumes:
             boxes = frame.reshape(-1, 8, 3)
             self._lit.append((boxes.min(axis=1), boxes.max(axis=1)))
 
-    def __call__(self, window: Window) -> np.ndarray:
-        """Numbers int (N,) of the volumes that a window shows or that shadow these from a sun, ascending."""
+    def _shown(self, window: Window) -> np.ndarray:
+        """bool (V,): volumes that a window shows."""
         x0, y0, x1, y1 = window
         left, top, right, bottom = self._windows.T
-        seen = (left < x1) & (x0 < right) & (top < y1) & (y0 < bottom)
+        return (left < x1) & (x0 < right) & (top < y1) & (y0 < bottom)
+
+    def __call__(self, window: Window) -> np.ndarray:
+        """Numbers int (N,) of the volumes that a window shows or that shadow these from a sun, ascending."""
+        seen = self._shown(window)
         found = seen.copy()
         for low, high in self._lit:
-            for one in np.flatnonzero(seen):
-                crosses = (low[:, :2] <= high[one, :2]).all(axis=1) & (low[one, :2] <= high[:, :2]).all(axis=1)
-                found |= crosses & (high[:, 2] >= low[one, 2])
+            first, last = low[seen], high[seen]
+            if len(first) > MOST_PAIRED:
+                # What surrounds all of them.
+                first, last = first.min(axis=0, keepdims=True), last.max(axis=0, keepdims=True)
+            for begin, end in zip(first, last):
+                found |= (
+                    (low[:, :2] <= end[:2]).all(axis=1)
+                    & (begin[:2] <= high[:, :2]).all(axis=1)
+                    & (high[:, 2] >= begin[2])
+                )
         return np.flatnonzero(found)
+
+    def cut(self, window: Window) -> list[Window]:
+        """A window in parts of whole bands, each of which shows few volumes or is a single band."""
+        x0, y0, x1, y1 = window
+        bands = -(-max(x1 - x0, y1 - y0) // BAND)
+        if bands <= 1 or np.count_nonzero(self._shown(window)) <= MOST_VOLUMES:
+            return [window]
+        return [part for smaller in make_tiles(window, -(-bands // 2)) for part in self.cut(smaller)]

@@ -57,21 +57,23 @@ class Row:
 
 @dataclass(frozen=True)
 class Source:
-    """One group of volumes in one light, or one volume of it.
+    """One group of volumes in one light, or one volume of it, or several groups of one volume each that are alike.
 
-    group: its number. members: numbers of the volumes. rows: of its light. varies: whether the albedo of any of the
-    volumes does, or they differ. voxel: shortest edge of the group's voxels. lights: how many suns and lamps share the
-    single scattering that tells where its light varies; 0 where that does not tell. adaptive: whether pixels that agree
-    with their neighbours interpolate it. needs_detail: whether its light varies along rays more than nodes of the depth
-    samples tell.
+    groups: their numbers, ascending. members: numbers of the volumes. frames: float64 (G, 4), of several groups:
+    factors of world positions and what is added to them, for which the estimator is asked about the first. rows: of
+    its light. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest edge of the
+    group's voxels. lights: how many suns and lamps share the single scattering that tells where its light varies; 0
+    where that does not tell. adaptive: whether pixels that agree with their neighbours interpolate it.
+    needs_detail: whether its light varies along rays more than nodes of the depth samples tell.
     """
 
-    group: int
-    members: list[int]
+    groups: Sequence[int]
+    members: Sequence[int]
     estimator: Estimator
     rows: list[Row]
     varies: bool
     voxel: float
+    frames: np.ndarray | None = None
     lights: int = 0
     adaptive: bool = True
     needs_detail: bool = False
@@ -103,6 +105,15 @@ class Source:
         ]
         return replace(self, rows=rows)
 
+    def within(self, volumes: Sequence[int] | None) -> "Source":
+        """What of several groups lies in some volumes, by number; itself for all of them."""
+        if volumes is None or self.frames is None:
+            return self
+        here = np.flatnonzero(np.isin(self.members, volumes))
+        rows = [replace(row, albedo=row.albedo[here], scattered=row.scattered[here]) for row in self.rows]
+        groups, members = ([numbers[n] for n in here] for numbers in (self.groups, self.members))
+        return replace(self, groups=groups, members=members, rows=rows, frames=self.frames[here])
+
     @property
     def channels(self) -> int:
         """How many channels its rows stand for, each quantity counted by itself."""
@@ -127,7 +138,8 @@ class AskedGroup:
     """A group of volumes whose light is asked for in some colour channels.
 
     number: of the group. places: of each of the three channels, as for `DepthSamples.scattered`. camera: on whose
-    rays they are, or None. Methods raise Cancelled.
+    rays they are, or None. like: numbers of all groups that are told together, as of `PreparedScene.alike`; the group
+    alone without. Methods raise Cancelled.
     """
 
     context: RenderContext
@@ -136,6 +148,7 @@ class AskedGroup:
     channels: Channels
     places: Sequence[int]
     camera: Camera | None = None
+    like: Sequence[int] = ()
 
     @property
     def group(self) -> ScatteringGroup:
@@ -234,10 +247,12 @@ class AskedGroup:
         self, estimator: Estimator, relative: Callable[[float], float], lights: int = 0, needs_detail: bool = False
     ) -> Source:
         """relative: standard deviation of the error over the light, of an albedo."""
-        members = self.scene.plan.groups[self.number]
+        groups = self.like or [self.number]
+        members = [v for g in groups for v in self.scene.plan.groups[g]]
         return Source(
-            group=self.number,
+            groups=groups,
             members=members,
+            frames=self._frames() if len(groups) > 1 else None,
             estimator=estimator,
             rows=rows_of(self.scene, members, estimator, self.places, relative),
             varies=self.group.volume.scattering is not None,
@@ -245,6 +260,13 @@ class AskedGroup:
             lights=lights,
             needs_detail=needs_detail,
         )
+
+    def _frames(self) -> np.ndarray:
+        """As of Source."""
+        groups = [self.scene.groups[g] for g in self.like]
+        cubes, own = [group.predictor.cube for group in groups if group is not None], self.group.predictor.cube
+        factors = own.edge / np.array([[cube.edge] for cube in cubes])
+        return np.hstack([factors, own.centre - factors * np.array([cube.centre for cube in cubes])])
 
 
 def features_of_sun(sun: PredictedSun, points: LitPoints) -> np.ndarray | None:
@@ -306,14 +328,20 @@ def solve_transport(
     of_part = {part: number for number, predicted in enumerate(joined) for part in predicted.parts}
     fluences: list[ScatteredFluence | None] = [None] * len(scene.groups)
     with context.report.stage("fields"):
-        for g, group in scene.predicted(channels):
-            if groups is not None and g not in groups:
-                continue
+        for like in scene.alike(channels) if groups is None else [[g] for g in groups]:
+            group = scene.groups[like[0]]
+            assert group is not None
             sigma_t = float(group.medium.sigma_t[channels.indices[0]])
             with context.progress.stage("transport", len(joined)):
                 lights = [PlacedSun(predicted.sun, group.predictor.cube, scene.occluders) for predicted in joined]
                 fluence = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-            fluences[g] = fluence and fluence.of_parts([of_part[place] for place in range(len(scene.plan.suns))])
+            if fluence is None:
+                continue
+            fluence = fluence.of_parts([of_part[place] for place in range(len(scene.plan.suns))])
+            for g in like:
+                of_group = scene.groups[g]
+                assert of_group is not None
+                fluences[g] = fluence if g == like[0] else fluence.placed(of_group.predictor.cube)
     return None if all(fluence is None for fluence in fluences) else fluences
 
 
@@ -326,12 +354,13 @@ def prepare_sources(context: RenderContext, scene: PreparedScene, channel_pass: 
         AskedGroup(
             context=context,
             scene=scene,
-            number=g,
+            number=like[0],
             channels=channel_pass.channels,
             places=places,
             camera=scene.camera,
+            like=like,
         )
-        for g, _ in scene.predicted(channel_pass.channels)
+        for like in scene.alike(channel_pass.channels)
     ]
     with context.report.stage("fields"):
         for group in groups if context.settings.multiple else ():
@@ -360,7 +389,7 @@ def prepare_emission(
             volume, medium = plan.volumes[v]
             estimator = EmissionEstimator(channel_pass.channels.indices, emission, medium.anisotropy)
             source = Source(
-                group=g,
+                groups=[g],
                 members=[v],
                 estimator=estimator,
                 rows=rows_of(scene, [v], estimator, places, lambda albedo: SCATTERED_EMISSION),

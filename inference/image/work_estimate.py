@@ -37,10 +37,12 @@ class WorkEstimate:
         """Set what is expected of camera rays and of the network, once, where somebody wants to know."""
         if self._expected or not self._context.progress.wanted:
             return
-        jobs = self._jobs / self._passes
-        for window in self._scene.plan.tiles:
-            tile = replace(self._scene.camera, region=window)
-            steps, samples = estimate_march(self._context, self._scene, channel_pass, tile)
+        jobs, rays = self._jobs / self._passes, 1 if self._scene.eyes is None else self._scene.eyes.rays
+        for window in self._scene.tiles:
+            tile, groups = replace(self._scene.camera, region=window), self._scene.groups_in(window)
+            if not groups:
+                continue
+            steps, samples = estimate_march(self._context, channel_pass.through(groups), tile, rays)
             self._expected[window] = np.array([steps, samples * jobs])
         self._all = sum(self._expected.values()) * self._passes
         self._context.progress.expect("march", self._all[0])

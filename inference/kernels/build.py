@@ -42,6 +42,7 @@ VARYING = (
     "nearby.c",
     "paths.c",
     "photons.c",
+    "pixels.c",
     "products.c",
     "pyramid.c",
     "sweeps.c",

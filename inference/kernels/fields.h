@@ -146,6 +146,10 @@ typedef struct {
     const Occupancy *majorants;  /* (volumes), their peaks alone */
     const double *anisotropies;  /* (volumes) */
     const double *albedos;       /* (volumes, channels), 1 where they vary */
+    int64_t leaves;              /* of a binary tree of boxes, a power of two; */
+    const double *boxes;         /* (2 leaves, 2, 3), lowest and highest corners of each: the root is number 1, and the parts
+                                    of number n are 2 n and 2 n + 1; */
+    const int64_t *contents;     /* (leaves), the volume in each, or -1 */
     int64_t rays;
     const double *origins, *directions;  /* (rays, 3) */
     const double *near_distance, *far_distance;  /* (rays), between which paths collide first */
@@ -343,6 +347,16 @@ typedef struct {
     float *out;                  /* (rows, columns) */
 } MatrixProduct;
 
+/* Rows of an image whose pixels are joined with those around, as blurred as they are: reconstruction.join. */
+typedef struct {
+    int64_t rows, columns, values;
+    int64_t first, end;          /* rows to fill */
+    int64_t reach;               /* pixels that are joined on each side */
+    const float *sharpness;      /* (rows, columns, 3), xx, xy and yy of an inverse covariance */
+    const float *image;          /* (rows, columns, values) */
+    float *joined;               /* (rows, columns, values) */
+} PixelJoin;
+
 /* Functions of the library that take one structure, which X is told with its type. */
 #define MRPNN_FUNCTIONS(X) \
     X(sweep_columns, const ColumnSweep) \
@@ -365,6 +379,7 @@ typedef struct {
     X(lamp_fluence, const LampFluence) \
     X(scatter_nearby, const NearbyLight) \
     X(gather_light, const LightGather) \
+    X(join_pixels, const PixelJoin) \
     X(multiply, const MatrixProduct)
 
 #endif

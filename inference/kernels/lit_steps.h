@@ -10,7 +10,8 @@
 /* Scattering coefficients of the steps of all blocks, where albedos vary. */
 static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
     int64_t stride = work->stride;
-    for (int64_t v = 0; v < scene->volumes && scene->varying; v++) {
+    for (int64_t m = 0; m < work->met_count && scene->varying; m++) {
+        int64_t v = work->met[m];
         const Medium *medium = scene->media + v;
         const float *sigma = work->sigma + v * stride;
         if (!medium->varies) continue;
@@ -98,8 +99,9 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
     float dark = (float)scene->dark;
     int single_group = scene->groups == 1, outside = scene->volumes > 1 || scene->at_start;
     for (int64_t s = 0; s < steps && !single_group; s++) work->whole_start[s] = work->whole_end[s] = dark;
-    for (int64_t g = 0; g < scene->groups; g++) {
-        for (int64_t s = 0; s < steps; s++) work->start[g * stride + s] = work->end[g * stride + s] = dark;
+    for (int64_t n = 0; n < work->active_count; n++) {
+        int64_t g = work->active[n];
+        for (int64_t s = 0; s < steps && work->group_met[g]; s++) work->start[g * stride + s] = work->end[g * stride + s] = dark;
     }
     for (int64_t e = 0; e < edges; e += LANES) {
         double place[LANES];
@@ -110,10 +112,12 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
             place[n] = work->edge_place[edge], depth[n] = work->edge_depth[edge];
         }
         int used = edges - e < LANES ? (int)(edges - e) : LANES;
-        for (int64_t g = 0; g < scene->groups; g++) {
+        for (int64_t n = 0; n < work->active_count; n++) {
+            int64_t g = work->active[n];
             Floats sum = in_all(0.0f);
             for (int64_t m = scene->group_starts[g]; m < scene->group_starts[g + 1]; m++) {
                 int64_t v = scene->group_members[m];
+                if (!work->shades[v]) continue;
                 const Medium *medium = scene->media + v;
                 const Line *line = work->lines + v;
                 Floats position[3];
@@ -127,7 +131,7 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                 sum += outside ? sun_depth_outside(&medium->density, sun, extinction, position, depth)
                                : sun_depth(&medium->density, sun, extinction, position, depth);
             }
-            store_at_edges(work, e, used, sum, work->start + g * stride, work->end + g * stride);
+            if (work->group_met[g]) store_at_edges(work, e, used, sum, work->start + g * stride, work->end + g * stride);
             total += sum;
         }
         if (!single_group) store_at_edges(work, e, used, total, work->whole_start, work->whole_end);
@@ -177,6 +181,7 @@ static void add_single(const Scene *scene, int64_t l, Work *work, double *single
     }
     for (int64_t n = 0; n < scene->volumes * scene->scattering; n++) {
         int64_t v = n / scene->scattering, c = n % scene->scattering;
+        if (!work->is_met[v]) continue;
         single[(v * scene->suns + l) * scene->scattering + c] += sum_of(scattering_of(scene, work, v, c), light, work);
     }
 }

@@ -18,7 +18,8 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
         for (int k = 0; k < STEPS; k++) {
             if (!(place + k * size < (double)ray->count)) through[k] = 0.0f;
         }
-        for (int64_t v = 0; v < scene->volumes; v++) {
+        for (int64_t m = 0; m < work->met_count; m++) {
+            int64_t v = work->met[m];
             const Medium *medium = scene->media + v;
             Nearby nearby = {0, 0.0, 0};
             if (!(medium->emission_factor > 0.0)) continue;
@@ -85,6 +86,11 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
     TAKE(lines, Line, volumes)
+    TAKE(met, int64_t, volumes)
+    TAKE(active, int64_t, groups)
+    TAKE(is_met, uint8_t, volumes)
+    TAKE(shades, uint8_t, volumes)
+    TAKE(group_met, uint8_t, groups)
     TAKE(cells, int64_t, LANES * volumes)
     TAKE(near, uint8_t, (AHEAD + 1) * volumes)
     TAKE(sample_step, int64_t, samples)
@@ -99,6 +105,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     Ray ray;
     int64_t steps = work->stride;
     start_ray(rays, r, &ray);
+    find_met(scene, &ray, work);
     if (out->emission) {
         double *emission = out->emission + r * scene->channels;
         for (int64_t c = 0; c < scene->channels; c++) emission[c] = 0.0;
@@ -123,11 +130,12 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     out->alpha[r] = alpha;
     out->depth[r] = ray.near + reached * ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
     for (int64_t v = 0; v < scene->volumes; v++) {
-        out->optical_depth[r * scene->volumes + v] = sum_of(work->sigma + v * steps, work->dt, work);
+        out->optical_depth[r * scene->volumes + v] = work->is_met[v] ? sum_of(work->sigma + v * steps, work->dt, work) : 0.0;
     }
     for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
-        const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
-        out->scattering_depth[r * scene->volumes * scene->scattering + i] = sum_of(scattering, work->dt, work);
+        int64_t v = i / scene->scattering;
+        const float *scattering = scattering_of(scene, work, v, i % scene->scattering);
+        out->scattering_depth[r * scene->volumes * scene->scattering + i] = work->is_met[v] ? sum_of(scattering, work->dt, work) : 0.0;
     }
     double *single = out->single_scattering + r * scene->volumes * scene->suns * scene->scattering;
     for (int64_t n = 0; n < scene->volumes * scene->suns * scene->scattering; n++) single[n] = 0.0;
@@ -137,11 +145,17 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     int64_t count = place_samples(scene, &ray, alpha, detail, work, out), edges = list_edges(work);
     int features = out->sample_features && count > 0, of_lamps = out->lamp_features && count > 0;
     if (features || of_lamps) sum_groups(scene, work);
+    if (features && work->met_count < scene->volumes) {
+        int64_t size = scene->groups * scene->suns * COLUMNS;
+        memset(out->sample_features + out->samples * size, 0, (size_t)(count * size) * sizeof(float));
+    }
     for (int64_t l = 0; l < scene->suns; l++) {
         if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
         look_up_depths(scene, l, NULL, edges, work);
         add_single(scene, l, work, single);
-        for (int64_t g = 0; g < scene->groups && features; g++) {
+        for (int64_t n = 0; n < work->active_count && features; n++) {
+            int64_t g = work->active[n];
+            if (!work->group_met[g]) continue;
             look_up_source(scene, scene->fluence + g, g, l, &ray, work);
             Gathering of = {.fluence = scene->fluence + g, .visible = scene->shadow_maps ? work->visible : NULL};
             of.stride = scene->groups * scene->suns * COLUMNS;

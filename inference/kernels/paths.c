@@ -108,10 +108,33 @@ static double fly(const Medium *medium, const Occupancy *cells, const Way *way, 
     return to;
 }
 
+/* Most boxes that wait to be looked at: two for each doubling of the volumes. */
+#define WAITING 128
+
+/* Whether a path meets a box between two distances. */
+static int meets_box(const double *box, const Way *way, double from, double to) {
+    for (int k = 0; k < 3; k++) {
+        double inverse = 1.0 / way->along[k], a = (box[k] - way->place[k]) * inverse, b = (box[3 + k] - way->place[k]) * inverse;
+        /* A path within the plane of a face multiplies 0 by infinity; that axis does not bound it. */
+        if (a != a || b != b) continue;
+        if ((a < b ? a : b) > from) from = a < b ? a : b;
+        if ((a > b ? a : b) < to) to = a > b ? a : b;
+    }
+    return from <= to;
+}
+
 /* Fly on; returns the number of the volume in which the path collides, or -1, and moves the path there. */
 static int64_t collide(const LightPaths *data, Way *way, double from, double to, Steps *steps, int64_t *hit) {
-    int64_t nearest = -1, voxel[3];
-    for (int64_t v = 0; v < data->volumes; v++) {
+    int64_t nearest = -1, voxel[3], waiting[WAITING] = {1}, count = 1;
+    while (count > 0) {
+        int64_t box = waiting[--count];
+        if (data->leaves > 1 && !meets_box(data->boxes + 6 * box, way, from, to)) continue;
+        if (box < data->leaves) {
+            waiting[count++] = 2 * box + 1, waiting[count++] = 2 * box;
+            continue;
+        }
+        int64_t v = data->contents[box - data->leaves];
+        if (v < 0) continue;
         double distance = fly(data->media + v, data->majorants + v, way, from, to, steps, voxel);
         if (!(distance < to)) continue;
         to = distance, nearest = v;

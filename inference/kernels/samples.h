@@ -24,11 +24,11 @@ static void add_sample(const Scene *scene, const Ray *ray, int64_t s, double ins
     out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
     float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
     for (int64_t v = 0; v < scene->volumes; v++) {
-        out->sample_fraction[sample * scene->volumes + v] = work->sigma[v * work->stride + s] / total;
+        out->sample_fraction[sample * scene->volumes + v] = work->is_met[v] ? work->sigma[v * work->stride + s] / total : 0.0f;
     }
     for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
         const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
-        out->sample_scattering[sample * scene->volumes * scene->scattering + i] = scattering[s] / total;
+        out->sample_scattering[sample * scene->volumes * scene->scattering + i] = work->is_met[i / scene->scattering] ? scattering[s] / total : 0.0f;
     }
 }
 
@@ -80,11 +80,13 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, i
 /* Optical thickness of steps in each group. */
 static void sum_groups(const Scene *scene, Work *work) {
     int64_t stride = work->stride, steps = STEPS * work->blocks;
-    for (int64_t g = 0; g < scene->groups; g++) {
-        for (int64_t s = 0; s < steps; s += LANES) {
+    for (int64_t a = 0; a < work->active_count; a++) {
+        int64_t g = work->active[a];
+        for (int64_t s = 0; s < steps && work->group_met[g]; s += LANES) {
             Floats sigma = in_all(0.0f);
             for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
-                sigma += load(work->sigma + scene->group_members[n] * stride + s);
+                int64_t v = scene->group_members[n];
+                if (work->is_met[v]) sigma += load(work->sigma + v * stride + s);
             }
             store(work->group_tau + g * stride + s, sigma * load(work->dt + s));
         }

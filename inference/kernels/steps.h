@@ -74,8 +74,13 @@ typedef struct {
     float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
-    int64_t *cells;              /* (volumes, LANES), around blocks that follow each other */
-    uint8_t *near;               /* (AHEAD + 1, volumes), whether a volume may hold something in a block; 2: no density */
+    int64_t *met;                /* (met_count), volumes whose support the ray meets */
+    int64_t *active;             /* (active_count), groups with volumes that it meets or that may shadow these */
+    int64_t met_count, active_count;
+    uint8_t *is_met, *shades;    /* (volumes), whether the ray meets each, and whether it may shadow points of the ray */
+    uint8_t *group_met;          /* (groups), whether the ray meets any of its volumes */
+    int64_t *cells;              /* (met, LANES), around blocks that follow each other */
+    uint8_t *near;               /* (AHEAD + 1, met), whether a volume may hold something in a block; 2: no density */
     int64_t *sample_step;        /* (depth samples), among the steps above */
     float *sample_inside;        /* (depth samples), position in the step */
     float *sample_light;         /* (depth samples), fluence of a lamp on a coarse scale */
@@ -163,11 +168,12 @@ static inline int block_near(const Scene *scene, const Medium *medium, const Lin
     return cell_near(scene, medium, line, cell_around(&medium->occupancy, position), nearby);
 }
 
-/* Bounds of all volumes around a block; near: (volumes), whether each may hold density or emission there. */
+/* Bounds of all volumes around a block; near: (met), whether each may hold density or emission there. */
 static inline Nearby look_around(const Scene *scene, const Work *work, double place, double size, uint8_t *near) {
     Nearby nearby = {0, 0.0, INT64_MAX};
-    for (int64_t v = 0; v < scene->volumes; v++) {
-        near[v] = (uint8_t)block_near(scene, scene->media + v, work->lines + v, place, size, &nearby);
+    for (int64_t m = 0; m < work->met_count; m++) {
+        int64_t v = work->met[m];
+        near[m] = (uint8_t)block_near(scene, scene->media + v, work->lines + v, place, size, &nearby);
     }
     return nearby;
 }
@@ -179,6 +185,74 @@ static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
     ray->near = rays->near_distance[number];
     ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
     ray->dt = (rays->far_distance[number] - ray->near) / (double)ray->count;
+}
+
+/* Cut an interval of places to where first + place * slope lies between two bounds. */
+static inline void cut_interval(double first, double slope, double low, double high, double *from, double *to) {
+    double a = (low - first) / slope, b = (high - first) / slope;
+    if (slope == 0.0) {
+        if (!(first >= low && first <= high)) *to = -1.0;
+        return;
+    }
+    if (a > b) {
+        double swapped = a;
+        a = b, b = swapped;
+    }
+    if (a > *from) *from = a;
+    if (b < *to) *to = b;
+}
+
+/* Whether a ray meets a volume's support. */
+static int meets(const Medium *medium, const Line *line, const Ray *ray) {
+    double from = 0.0, to = (double)ray->count;
+    for (int k = 0; k < 3; k++) {
+        cut_interval(line->first[k], line->slope[k], -1.0, (double)medium->density.shape[k], &from, &to);
+    }
+    return from <= to;
+}
+
+/* Whether a volume's support may lie between any point of a ray and a sun: seen along the sun's main axis, on a plane
+across it. */
+static int may_shade(const Medium *medium, const SunColumns *sun, const Line *line, const Ray *ray) {
+    double from = 0.0, to = (double)ray->count;
+    int64_t main = sun->main;
+    double deep = (double)medium->density.shape[main], towards = sun->direction[main];
+    cut_interval(line->first[main], line->slope[main], towards > 0.0 ? -INFINITY : -1.0, towards > 0.0 ? deep : INFINITY,
+                 &from, &to);
+    for (int k = 0; k < 2; k++) {
+        int64_t axis = sun->others[k];
+        double lean = sun->direction[axis] / towards, begin = lean, end = -lean * deep;
+        double low = (begin < end ? begin : end) - 1.0, high = (begin > end ? begin : end) + (double)medium->density.shape[axis];
+        cut_interval(line->first[axis] - lean * line->first[main], line->slope[axis] - lean * line->slope[main], low, high,
+                     &from, &to);
+    }
+    return from <= to;
+}
+
+/* Find the volumes that matter to a ray: lamps shine from everywhere, and a volume alone always matters. */
+static void find_met(const Scene *scene, const Ray *ray, Work *work) {
+    int all = scene->volumes == 1 || scene->lamps > 0;
+    work->met_count = work->active_count = 0;
+    for (int64_t v = 0; v < scene->volumes; v++) {
+        const Medium *medium = scene->media + v;
+        work->lines[v] = line_through(medium, ray);
+        work->is_met[v] = (uint8_t)(all || meets(medium, work->lines + v, ray));
+        work->shades[v] = (uint8_t)all;
+        for (int64_t l = 0; l < scene->suns && !work->shades[v]; l++) {
+            work->shades[v] = (uint8_t)may_shade(medium, medium->suns + l, work->lines + v, ray);
+        }
+        if (work->is_met[v]) work->met[work->met_count++] = v;
+    }
+    for (int64_t g = 0; g < scene->groups; g++) {
+        int active = 0;
+        work->group_met[g] = 0;
+        for (int64_t m = scene->group_starts[g]; m < scene->group_starts[g + 1]; m++) {
+            int64_t v = scene->group_members[m];
+            work->group_met[g] |= work->is_met[v];
+            active |= work->is_met[v] | work->shades[v];
+        }
+        if (active) work->active[work->active_count++] = g;
+    }
 }
 
 /* Means over the steps of a block, of samples; 0 where steps begin behind the ray's end. */
@@ -194,15 +268,16 @@ static inline Steps step_means(Floats samples, const Ray *ray, double place, dou
 
 /* Extinction and optical thickness of the steps of a block, which are left as those from `at` on.
 
-near: (volumes), 1 for those that may hold density there. */
+near: (met), 1 for those that may hold density there. */
 static inline void sample_media(const Scene *scene, const Ray *ray, double place, double size, const uint8_t *near,
                                 int64_t at, Work *work) {
     float *sums = work->within + at;
     Steps total = {0.0f}, tau;
-    for (int64_t v = 0; v < scene->volumes; v++) {
+    for (int64_t m = 0; m < work->met_count; m++) {
+        int64_t v = work->met[m];
         const Medium *medium = scene->media + v;
         Steps sigma = {0.0f};
-        if (near[v] == 1 && medium->sigma_t > 0.0) {
+        if (near[m] == 1 && medium->sigma_t > 0.0) {
             Floats samples = sample_block(&medium->density, work->lines + v, place, size);
             sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
         }
@@ -258,20 +333,20 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
         /* The cells of consecutive blocks, some of which are then skipped. */
         double middle[LANES];
         FOR_LANES(n) middle[n] = from + STEPS * (n + 0.5);
-        for (int64_t v = 0; v < scene->volumes; v++) {
+        for (int64_t m = 0; m < work->met_count; m++) {
             Floats position[3];
-            positions_at(work->lines + v, middle, position);
-            Longs cells = cells_around(&scene->media[v].occupancy, position);
-            memcpy(work->cells + LANES * v, &cells, sizeof cells);
+            positions_at(work->lines + work->met[m], middle, position);
+            Longs cells = cells_around(&scene->media[work->met[m]].occupancy, position);
+            memcpy(work->cells + LANES * m, &cells, sizeof cells);
         }
         for (int64_t n = 0; n < LANES && count < AHEAD && from < whole;) {
             int filled = keep_empty;
             Nearby nearby = {0, 0.0, INT64_MAX};
-            for (int64_t v = 0; v < scene->volumes; v++) {
-                const Medium *medium = scene->media + v;
-                const Line *line = work->lines + v;
-                uint8_t *near = work->near + count * scene->volumes + v;
-                *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * v + n], &nearby);
+            for (int64_t m = 0; m < work->met_count; m++) {
+                const Medium *medium = scene->media + work->met[m];
+                const Line *line = work->lines + work->met[m];
+                uint8_t *near = work->near + count * work->met_count + m;
+                *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * m + n], &nearby);
                 if (*near && !block_held(medium, line, from)) *near = 2;
                 filled |= *near == 1;
             }
@@ -292,21 +367,21 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
     }
     coming->from = from, coming->count = count, coming->used = 0, coming->passed = passed;
     for (int64_t n = 0; n < count; n++) {
-        const uint8_t *near = work->near + n * scene->volumes;
+        const uint8_t *near = work->near + n * work->met_count;
         sample_media(scene, ray, coming->place[n], 1.0, near, STEPS * (work->most_blocks + n), work);
     }
     return count > 0;
 }
 
 /* Keep a block whose steps were left as those from `at` on. */
-static void keep_block(const Scene *scene, const Ray *ray, double place, double size, int64_t at, Work *work) {
+static void keep_block(const Ray *ray, double place, double size, int64_t at, Work *work) {
     int64_t to = STEPS * work->blocks;
     if (at != to) {
         memcpy(work->total + to, work->total + at, sizeof(Steps));
         memcpy(work->tau + to, work->tau + at, sizeof(Steps));
         memcpy(work->within + to, work->within + at, sizeof(Steps));
-        for (int64_t v = 0; v < scene->volumes; v++) {
-            float *sigma = work->sigma + v * work->stride;
+        for (int64_t m = 0; m < work->met_count; m++) {
+            float *sigma = work->sigma + work->met[m] * work->stride;
             memcpy(sigma + to, sigma + at, sizeof(Steps));
         }
     }
@@ -323,9 +398,6 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
     double size[LEVELS + 1] = {1.0}, end[LEVELS + 1] = {0.0};
     int level = 0;
     Coming coming = {0};
-    for (int64_t v = 0; v < scene->volumes; v++) {
-        work->lines[v] = line_through(scene->media + v, ray);
-    }
     work->blocks = work->looked_at = 0;
     work->before[0] = 0.0;
     while (place < whole && reached < behind) {
@@ -344,7 +416,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
             place = coming.place[coming.used], peak = coming.peak[coming.used];
             at = STEPS * (work->most_blocks + coming.used++);
         } else {
-            uint8_t *around = work->near + AHEAD * scene->volumes;
+            uint8_t *around = work->near + AHEAD * work->met_count;
             Nearby nearby = look_around(scene, work, place, step, around);
             near = nearby.near || (scene->at_start && place == 0.0), peak = nearby.peak;
             sample_media(scene, ray, place, step, around, at, work);
@@ -374,7 +446,7 @@ static void fill_blocks(const Scene *scene, const Ray *ray, double behind, int k
         float gained = work->within[at + STEPS - 1];
         reached += (double)gained;
         gap = tau[STEPS - 1] > 0.0f ? 0.0 : step;
-        if (near && (keep_empty || gained > 0.0f || (scene->at_start && place == 0.0))) keep_block(scene, ray, place, step, at, work);
+        if (near && (keep_empty || gained > 0.0f || (scene->at_start && place == 0.0))) keep_block(ray, place, step, at, work);
         place += STEPS * step;
     }
 }

@@ -67,6 +67,23 @@ def array_of(values: list) -> ctypes.Array | None:
     return array
 
 
+def rows_of(array: Any, numbers: Sequence[int]) -> np.ndarray | None:
+    """Copies of some structures of an `array_of`, by number, which must outlive them; None for None."""
+    if array is None:
+        return None
+    size = ctypes.sizeof(array._type_)
+    return np.frombuffer(array, np.uint8).reshape(-1, size)[np.asarray(numbers, np.int64)]
+
+
+def copied(structure: Shared, **fields: Any) -> Shared:
+    """A copy of a structure with other fields, which keeps alive what the structure does."""
+    copy = type(structure)(**fields)
+    for name in structure.fields.keys() - fields:
+        setattr(copy, name, getattr(structure, name))
+    copy.referenced.append(structure)
+    return copy
+
+
 def pointers_to(values: Sequence[Shared | None]) -> ctypes.Array:
     """Pointers to structures, which it keeps alive, or to nothing."""
     array: Any = (c_void_p * len(values))(*(None if value is None else ctypes.addressof(value) for value in values))

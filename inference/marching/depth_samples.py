@@ -69,7 +69,7 @@ class DepthSamples:
     in each volume. features: for networks that need them, or None. lamp_features: the same of lamps.
     scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. detail: int (P,), as of RayBatch, or
     None. volumes, groups: numbers, ascending, of those that rays were marched through; None for all of them. Other
-    volumes are not met.
+    volumes are not met. rays: through each whole pixel.
     """
 
     pixel: np.ndarray
@@ -86,6 +86,7 @@ class DepthSamples:
     detail: np.ndarray | None = None
     volumes: Sequence[int] | None = None
     groups: Sequence[int] | None = None
+    rays: int = 1
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -120,6 +121,7 @@ class DepthSamples:
             scattering=None if self.scattering is None else self.scattering[at_nodes],
             volumes=self.volumes,
             groups=self.groups,
+            rays=self.rays,
         )
 
     def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -154,6 +156,23 @@ class DepthSamples:
 
     def _places(self, members: Sequence[int]) -> Sequence[int]:
         return members if self.volumes is None else [self.volumes.index(v) for v in members]
+
+    def turns(self, members: Sequence[int]) -> list[np.ndarray]:
+        """Of each sample one of some volumes that hold it, int (M,), by place in `members` or -1; in as many arrays as
+        it takes for all that do."""
+        within = np.cumsum(self.fraction[:, self._places(members)] > 0.0, axis=1)
+        most = int(within.max(initial=0))
+        return [np.where(within[:, -1] >= n, (within >= n).argmax(axis=1), -1) for n in range(1, most + 1)]
+
+    def scattered_by(
+        self, samples: np.ndarray, members: np.ndarray, factors: np.ndarray, columns: Sequence[int]
+    ) -> np.ndarray:
+        """As `scattered`, by one volume, int (N,), at each sample; factors: float32 (N, C)."""
+        places = members if self.volumes is None else np.searchsorted(self.volumes, members)
+        weight = self.weight[samples, None] * factors
+        if self.scattering is None:
+            return weight * self.fraction[samples, places, None]
+        return weight * self.scattering[samples, places][:, columns]
 
     def place_of_group(self, group: int) -> int:
         """Place of a group in the ray features."""
@@ -218,13 +237,14 @@ class DepthSamples:
         Legendre coefficients that the values at the nodes determine. A smooth integrand leaves little in them; noise
         contributes as much to each as to the mean, apart from what cancels because the jitter along a ray is a lattice.
         With one sample the error is the sum itself. On rays of more detail it falls in proportion to the samples.
+        Errors of rays through the same pixel are independent.
         """
         chosen = self.sampled[points]
         chosen = chosen[np.flatnonzero(np.diff(chosen, prepend=-1))]
         errors = np.zeros(len(chosen))
         for rays, samples, _ in self._alike(chosen):
             errors[rays] = _upper_quarter(values[samples], samples.shape[1])
-        return self.pixel[self.ray[self.starts[chosen]]], errors
+        return self.pixel[self.ray[self.starts[chosen]]], errors / np.sqrt(self.rays)
 
 
 def _upper_quarter(values: np.ndarray, count: int) -> np.ndarray:

@@ -16,8 +16,10 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..kernels import structures
 from ..kernels.library import call
+from ..numerics.alike import alike
+from ..numerics.box_tree import box_tree
 from ..runtime.cancellation import Cancelled
-from .marcher import describe_medium
+from .marcher import describe_media
 from .ray_steps import RayBatch
 
 #: Ends of paths: none without a collision, out of all volumes, or given up after too many steps.
@@ -102,9 +104,19 @@ class PathTracer:
     """
 
     def __init__(self, media: ScatteringMedia, stop: c_int32 | None = None):
-        self.media, self.stop = media, stop
-        self.majorants = [Majorants.of(medium) for medium in media.media]
-        self._described = [describe_medium(medium, (), media.channels, False) for medium in media.media]
+        self.media, self.stop, known = media, stop, dict[tuple, Majorants]()
+        # Instances share them.
+        for medium in media.media:
+            key = id(medium.grid.occupancy), alike(medium.voxel_thickness)
+            if key not in known:
+                known[key] = Majorants.of(medium)
+        self.majorants = [known[id(m.grid.occupancy), alike(m.voxel_thickness)] for m in media.media]
+        described = {id(majorants): majorants.describe() for majorants in known.values()}
+        self._described = (
+            structures.array_of(describe_media(media.media, (), media.channels, False)),
+            structures.array_of([described[id(majorants)] for majorants in self.majorants]),
+        )
+        self._boxes, self._contents = box_tree(np.array([medium.grid.corners() for medium in media.media]))
 
     def trace(self, rays: RayBatch, numbers: np.ndarray, paths: int) -> PathEnds:
         """Paths from the first collisions of rays; a path collides with the probability of the ray's opacity.
@@ -118,8 +130,11 @@ class PathTracer:
             "trace_paths",
             volumes=len(media.media),
             channels=len(media.channels),
-            media=structures.array_of(self._described),
-            majorants=structures.array_of([majorants.describe() for majorants in self.majorants]),
+            media=self._described[0],
+            majorants=self._described[1],
+            leaves=len(self._contents),
+            boxes=self._boxes,
+            contents=self._contents,
             anisotropies=media.anisotropies,
             albedos=media.albedos,
             rays=len(numbers),

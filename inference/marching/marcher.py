@@ -5,10 +5,13 @@ Within a step extinction is constant and the optical depth towards the sun linea
 exact (`kernels/march.c`).
 """
 
+import copy
+import functools
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from ctypes import addressof, c_int32, c_void_p
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +50,13 @@ from .ray_steps import (
     STEP_GROWTH,
     STEP_THICKNESS,
     STEPS,
+    Boxes,
     RayBatch,
     step_counts,
 )
+
+# Describes something for kernels, once.
+Once = Callable[[Callable[[Any], structures.Shared], Any], structures.Shared]
 
 
 class Marcher:
@@ -70,9 +77,9 @@ class Marcher:
 
         lamps: whose light is gathered, too; None for none.
         """
-        self._lamps, self._indices = lamps, list(channels)
+        self._lamps = lamps
         self._kernels, self._media, self._options = library.load_kernels(), media, options
-        self._channels, self._emits = len(channels), any(medium.emits for medium in media)
+        self._indices, self._channels, self._emits = channels, len(channels), any(medium.emits for medium in media)
         #: Numbers of the media, of those that another Marcher marches through.
         self.volumes: Sequence[int] = range(len(media))
         self._varying = sum(medium.varies for medium in media)
@@ -92,17 +99,33 @@ class Marcher:
         """Through which it marches."""
         return self._media
 
+    @functools.cached_property
+    def boxes(self) -> Boxes:
+        """Their supports."""
+        return Boxes.of(self._media)
+
     def through(self, groups: Sequence[int]) -> "Marcher":
         """Marches through some groups of media alone, by number, in the light of suns."""
         volumes = sorted(v for g in groups for v in self._groups[g])
-        places, fluence = {v: place for place, v in enumerate(volumes)}, self._options.fluence
-        options = replace(
-            self._options,
-            groups=[[places[v] for v in self._groups[g]] for g in groups],
-            fluence=None if fluence is None else [fluence[g] for g in groups],
+        places = {v: place for place, v in enumerate(volumes)}
+        found = copy.copy(self)
+        found.__dict__.pop("boxes", None)
+        found._media, found.volumes = [self._media[v] for v in volumes], volumes
+        found._groups = [[places[v] for v in self._groups[g]] for g in groups]
+        found._emits = any(medium.emits for medium in found._media)
+        found._varying = sum(medium.varies for medium in found._media)
+        starts, members = _listed(found._groups)
+        found._scene = structures.copied(
+            self._scene,
+            volumes=len(volumes),
+            groups=len(groups),
+            varying=found._varying,
+            media=structures.rows_of(self._scene.fields["media"], volumes),
+            group_starts=starts,
+            group_members=members,
+            fluence=structures.rows_of(self._scene.fields["fluence"], groups),
         )
-        found = Marcher([self._media[v] for v in volumes], options, self._indices, self._stop)
-        found.volumes = volumes
+        found._local = threading.local()
         return found
 
     def without_features(self) -> "Marcher":
@@ -113,7 +136,7 @@ class Marcher:
 
     def __call__(self, rays: RayBatch) -> RaySegment:
         """March rays whose intervals contain all media. Raises Cancelled."""
-        return self.march_steps(rays, step_counts(self._media, rays))
+        return self.march_steps(rays, step_counts(self.boxes, rays))
 
     def march_steps(self, rays: RayBatch, counts: np.ndarray) -> RaySegment:
         """March rays in counts, int (R,), coarse steps each. Raises Cancelled."""
@@ -200,8 +223,7 @@ class Marcher:
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
             nodes[count, :count], weights[count, :count] = options.quadrature(count)
-        members = np.concatenate([np.array(group, np.int64) for group in self._groups])
-        starts = np.cumsum([0, *map(len, self._groups)]).astype(np.int64)
+        starts, members = _listed(self._groups)
         return structures.Scene(
             volumes=len(self._media),
             suns=self._suns,
@@ -209,9 +231,7 @@ class Marcher:
             channels=len(channels),
             varying=self._varying,
             scattering=len(options.scattering),
-            media=structures.array_of(
-                [describe_medium(medium, channels, options.scattering, lamps is not None) for medium in self._media]
-            ),
+            media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
@@ -251,6 +271,12 @@ class Marcher:
         )
 
 
+def _listed(groups: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
+    """Where groups start and end in a list of their members, int64 (G + 1,), and the list."""
+    starts = np.cumsum([0, *map(len, groups)]).astype(np.int64)
+    return starts, np.array([v for group in groups for v in group], np.int64)
+
+
 def _doubles(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, np.float64)
 
@@ -285,17 +311,31 @@ def _phase_table(medium: Medium) -> np.ndarray:
     return np.stack([medium.scattered(cosine), medium.scattered(-cosine)]).astype(np.float32)
 
 
-def describe_medium(
-    medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool
-) -> structures.Shared:
-    """A medium, with its emission in `channels` and its scattering in `scattering`, colour channels by number.
+def describe_media(
+    media: Sequence[BoundMedium], channels: Sequence[int], scattering: Sequence[int], lamps: bool
+) -> list[structures.Shared]:
+    """Media, with their emission in `channels` and their scattering in `scattering`, colour channels by number.
 
-    lamps: whether its phase function is tabulated, for the light of lamps.
+    lamps: whether their phase functions are tabulated, for the light of lamps.
     """
+    known: dict[int, structures.Shared] = {}
+
+    def once(describe: Callable[[Any], structures.Shared], what: Any) -> structures.Shared:
+        """The same for instances, which share what they hold."""
+        if id(what) not in known:
+            known[id(what)] = describe(what)
+        return known[id(what)]
+
+    return [_describe_medium(medium, channels, scattering, lamps, once) for medium in media]
+
+
+def _describe_medium(
+    medium: BoundMedium, channels: Sequence[int], scattering: Sequence[int], lamps: bool, once: Once
+) -> structures.Shared:
     grid = medium.grid
-    scattered = [describe_grid(grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
-    emission = [describe_grid(grid.emission[channel]) for channel in channels] if medium.emits else []
-    density, occupancy = describe_grid(grid.density), describe_occupancy(grid.occupancy)
+    scattered = [once(describe_grid, grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
+    emission = [once(describe_grid, grid.emission[channel]) for channel in channels] if medium.emits else []
+    density, occupancy = once(describe_grid, grid.density), once(describe_occupancy, grid.occupancy)
     described = structures.Medium(
         density=density,
         held=grid.density.filled_bits if isinstance(grid.density, DenseGrid) else None,

@@ -26,6 +26,8 @@ REACH = 20.0
 class RayFeatures:
     """Features at M points of camera rays, in each of V media alone, for each of L suns of irradiance 1.
 
+    Without lamps they are 0 in media that the ray misses.
+
     values: float32 (M, V, L, COLUMNS): optical depth towards the sun; optical depth ahead; for each scale a the
     integral of exp(-a (tau + tau_sun)) a d(tau) along the ray ahead, where tau counts from the point; and for a = 1 and
     a = the reduced fraction of scattering the integral of exp(-a tau) J a d(tau), where J is 4 pi times the light
@@ -34,11 +36,13 @@ class RayFeatures:
 
     values: np.ndarray
 
-    def of(self, points: np.ndarray | slice, medium: int, sun: int) -> np.ndarray:
-        """float32 (N, COLUMNS) at points, by number, in one medium and for one sun."""
+    def of(self, points: np.ndarray | slice, medium: int | np.ndarray, sun: int) -> np.ndarray:
+        """float32 (N, COLUMNS) at points, by number, in one medium, or one (N,) for each, and for one sun."""
         return self.values[points, medium, sun]
 
-    def mean(self, points: np.ndarray | slice, medium: int, suns: Sequence[int], fractions: np.ndarray) -> np.ndarray:
+    def mean(
+        self, points: np.ndarray | slice, medium: int | np.ndarray, suns: Sequence[int], fractions: np.ndarray
+    ) -> np.ndarray:
         """float32 (N, COLUMNS), as `of`, averaged over several suns.
 
         fractions: (n,), of the light that each sun gives, or (N, n) for each point. Transmittance is averaged instead

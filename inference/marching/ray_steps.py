@@ -7,13 +7,14 @@ are cut into smaller blocks. Positions on a ray are in coarse steps. The steps o
 that an image does not depend on which rays are marched together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium
 from ..grids.occupancy import REACH
+from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import lengths, product
 
 # Minimal number of coarse steps along the longest edge of a grid; there is one per voxel at least.
@@ -30,6 +31,8 @@ LEVELS, MOST_PARTS = 7, 8
 SAMPLES = 2
 # Rays that graze a corner get as many steps as if they crossed this many voxels.
 MIN_VOXELS = 32
+# Rays times media whose crossings are found at a time.
+CROSSINGS = 1 << 17
 # Steps per block: neither end of a block lies further from its middle than the reach of the occupancy.
 STEPS = 2 * REACH
 
@@ -59,14 +62,69 @@ class RayBatch:
         return RayBatch(self.origins, self.directions, self.near, self.far)
 
 
-def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
-    """Number of coarse steps per voxel."""
-    return max(1.0, STEPS_PER_EDGE / max(max(medium.grid.shape) for medium in media))
+@dataclass(frozen=True)
+class Boxes:
+    """The supports of V media that attenuate or emit, as rays meet them.
+
+    linear: (V, 3, 3) and offset: (V, 3), continuous indices from world positions. shape: (V, 3), voxels.
+    """
+
+    linear: np.ndarray
+    offset: np.ndarray
+    shape: np.ndarray
+
+    @classmethod
+    def of(cls, media: Sequence[BoundMedium]) -> "Boxes":
+        """Of some media."""
+        media = [medium for medium in media if medium.matters]
+        return cls(
+            np.array([medium.linear for medium in media]).reshape(-1, 3, 3),
+            np.array([medium.offset for medium in media]).reshape(-1, 3),
+            np.array([medium.grid.shape for medium in media], np.float64).reshape(-1, 3),
+        )
+
+    def crossings(
+        self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Where R rays meet N media at a time, between distances `clip`, (R,) each.
+
+        Yields the distances (R, N) at which they enter and leave, infinite and in the wrong order on a miss, the
+        lengths (R, N) of a world unit on each ray in voxels, and the voxels (N,) along the media's longest edges.
+        """
+        size = max(CROSSINGS // max(len(origins), 1), 1)
+        near, far = np.broadcast_to(clip[0], len(origins)), np.broadcast_to(clip[1], len(origins))
+        for start in range(0, len(self.linear), size):
+            span = slice(start, start + size)
+            frames, shape = self.linear[span].reshape(-1, 3).T, self.shape[span]
+            at = product(origins, frames).reshape(-1, len(shape), 3) + self.offset[span]
+            slopes = product(directions, frames).reshape(-1, len(shape), 3)
+            enter, leave = box_interval(at, slopes, -1.0, shape)
+            enter, leave = np.maximum(enter, near[:, None]), np.minimum(leave, far[:, None])
+            miss = ~(enter < leave)
+            enter[miss], leave[miss] = np.inf, -np.inf
+            yield enter, leave, lengths(slopes.reshape(-1, 3)).reshape(miss.shape), shape.max(axis=1)
+
+    def intervals(
+        self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Intervals in which rays meet any medium: near and far (R,), near > far on a miss.
+
+        clip: distances (R,) to the near and the far clipping plane.
+        """
+        near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
+        for enter, leave, _, _ in self.crossings(origins, directions, clip):
+            near, far = np.minimum(near, enter.min(axis=1)), np.maximum(far, leave.max(axis=1))
+        return near, far
 
 
-def step_counts(media: Sequence[BoundMedium], rays: RayBatch, least: int = MIN_VOXELS) -> np.ndarray:
-    """Number of coarse steps int (R,) per ray, for the medium that needs the most; least: voxels that a ray crosses."""
-    # Instances that are turned alike need the same.
-    turned = {medium.linear.tobytes(): medium.linear for medium in media if medium.matters}
-    crossed = [lengths(product(rays.directions, linear.T)) * (rays.far - rays.near) for linear in turned.values()]
-    return np.ceil(np.maximum(np.max(crossed, axis=0), least) * steps_per_voxel(media)).astype(int)
+def step_counts(boxes: Boxes, rays: RayBatch, least: int = MIN_VOXELS) -> np.ndarray:
+    """Number of coarse steps int (R,) per ray, for the medium that needs the most of those that it meets.
+
+    least: voxels that a ray crosses.
+    """
+    counts = np.full(len(rays.near), least)
+    for enter, leave, scale, edges in boxes.crossings(rays.origins, rays.directions, (rays.near, rays.far)):
+        crossed = np.maximum(scale * (rays.far - rays.near)[:, None], least)
+        needed = np.ceil(crossed * np.maximum(STEPS_PER_EDGE / edges, 1.0)) * (enter < leave)
+        counts = np.maximum(counts, needed.max(axis=1).astype(int))
+    return counts

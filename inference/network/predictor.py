@@ -66,6 +66,8 @@ class VolumePredictor:
         self.cube, self.requested_anisotropy = cube or fit_cube(volume), anisotropy
         self.extent = extent(volume, self.cube)
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
+        #: The same for instances of one volume.
+        self.kind: object = object() if like is None else like.kind
         if like is None:
             self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         else:

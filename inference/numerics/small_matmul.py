@@ -13,9 +13,11 @@ VECTOR_WORK, MATRIX_WORK = 8192, 1 << 17
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a (3, 3) matrix by Cramer's rule; LAPACK would wake its threads even for that."""
-    a, b, c = matrix.T
-    rows = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
-    return rows / (a * rows[0]).sum()
+    # On Python's numbers, which are quicker than arrays as small as this.
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    rows = [[e * i - h * f, h * c - b * i, b * f - e * c]]
+    rows += [[f * g - i * d, i * a - c * g, c * d - f * a], [d * h - g * e, g * b - a * h, a * e - d * b]]
+    return np.array(rows) / np.float64(a * rows[0][0] + d * rows[0][1] + g * rows[0][2])
 
 
 def affine_inverse(matrix: np.ndarray) -> np.ndarray:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..blur.eyes import Eyes
+from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
@@ -58,7 +60,8 @@ class DepthBuffer:
         cancel.check()
         camera = self.camera
         rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-        corners, number = _beyond(corners @ rotation, closest)
+        # A camera that sees through one point of a lens has oblique axes.
+        corners, number = _beyond(corners @ inverse(rotation).T, closest)
         cancel.check()
         width, height = camera.resolution
         if camera.projection == "orthographic":
@@ -112,12 +115,19 @@ class DepthBuffer:
         Infinity where there is no surface. Raises Cancelled.
         """
         x0, y0, x1, y1 = window
-        near = self._near(window)
-        size = np.array([x1 - x0, y1 - y0]) + 1
+        return self.point_distances(x0 + np.arange(x1 - x0 + 1), y0 + np.arange(y1 - y0 + 1), cancel)
+
+    def point_distances(self, x: np.ndarray, y: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As `corner_distances`, (R, C), through points of the image in columns at x (C,) and rows at y (R,), each
+        evenly spaced.
+        """
+        size = np.array([len(x), len(y)])
+        near = self._near((x[0], y[0], x[-1], y[-1]))
+        steps = [values[1] - values[0] if len(values) > 1 else 1.0 for values in (x, y)]
         largest = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in rasterize(self.corners[near] - [x0, y0], self.value[near], size, cancel):
+        for flat, value, _ in rasterize((self.corners[near] - [x[0], y[0]]) / steps, self.value[near], size, cancel):
             np.maximum.at(largest, flat, value)
-        return self._along(largest.reshape(size[1], size[0]), x0 + np.arange(size[0]), y0 + np.arange(size[1]))
+        return self._along(largest.reshape(size[1], size[0]), x, y)
 
     def outlined(self, window: tuple[int, int, int, int]) -> np.ndarray:
         """bool (rows, columns): pixels of the window that an outline of a surface may cross, and those beside them.
@@ -179,6 +189,24 @@ class DepthBuffer:
         with np.errstate(divide="ignore"):
             depth = np.where(value > 0.0, 1.0 / value, np.inf)
         return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))
+
+
+def eye_distances(
+    surfaces: Sequence[Surface], eyes: Eyes, window: tuple[int, int, int, int], cancel: CancelToken = NEVER
+) -> np.ndarray:
+    """Distances float32 (rows, columns, rays) along the rays of eyes through a window's pixels.
+
+    Infinity where there is no surface. Raises Cancelled.
+    """
+    x0, y0, x1, y1 = window
+    distances = np.full((y1 - y0, x1 - x0, eyes.rays), np.inf, np.float32)
+    for number, eye in enumerate(eyes.cameras):
+        columns, rows = eyes.pixels_of(number, window)
+        if len(columns) and len(rows):
+            buffer = DepthBuffer(surfaces, eye, cancel)
+            found = buffer.point_distances(columns + 0.5, rows + 0.5, cancel)
+            distances[rows[:, None] - y0, columns - x0, number % eyes.rays] = found
+    return distances
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ class DeepSlicer:
 
     def add(self, known: DeepTile | None, tile: Tile, estimates: Sequence[TileEstimate]) -> DeepTile | None:
         """Add the slices of the pass; known: those of other passes in the tile, or None. Raises Cancelled."""
-        everything = replace(self._pass, media=self._media)
+        everything = replace(self._pass, media=self._media, march=self._cut)
         rays = tile_rays(self._context, self._scene, everything, tile.unreported())
         if rays is None:
             return known
@@ -174,7 +174,7 @@ class DeepSlicer:
 
     def _marched(self, pieces: RayBatch) -> list[tuple[slice, RaySegment]]:
         """All pieces of rays, so many at a time as fit in memory. Raises Cancelled."""
-        counts, found, start = step_counts(self._pass.media, pieces, STEPS), [], 0
+        counts, found, start = step_counts(self._march.boxes, pieces, STEPS), [], 0
         sums = np.cumsum(counts)
         while start < len(counts):
             done = sums[start - 1] if start else 0

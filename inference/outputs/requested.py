@@ -17,6 +17,7 @@ from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions
 from ..scene.camera import Camera
 from ..scene.description import Surface
+from ..scene.errors import SceneError
 from .deep_slices import DeepSlicer, DeepTile
 from .surface_shadow import surface_shadow
 
@@ -28,7 +29,10 @@ MOMENTS = 6
 class Outputs:
     """The outputs of `Settings.outputs` of a camera's window, of the tiles that are finished.
 
-    Tiles may be added by several threads.
+    Tiles may be added by several threads. Where a lens blurs the camera's picture, median and shadow are those of its
+    middle.
+
+    Raises SceneError for deep samples through a lens.
     """
 
     wanted: frozenset[str]
@@ -40,9 +44,14 @@ class Outputs:
     _shadow: np.ndarray | None = None
 
     def __post_init__(self) -> None:
+        if "deep" in self.wanted and self.camera.lens is not None:
+            raise SceneError(
+                "camera: deep samples lie on one ray of each pixel, and depth of field has many; switch off one of them"
+            )
         if "median" in self.wanted:
             x0, y0, x1, y1 = self.camera.window
-            self._median = np.zeros((y1 - y0, x1 - x0), np.float32)
+            # Sums of distance times weight, and weights.
+            self._median = np.zeros((2, y1 - y0, x1 - x0), np.float32)
 
     @property
     def moments(self) -> int:
@@ -58,7 +67,7 @@ class Outputs:
         """Add the shadow of volumes on surfaces, where it is wanted. Raises Cancelled."""
         if "shadow" in self.wanted:
             with context.report.stage("outputs"):
-                self._shadow = surface_shadow(context, scene, list(surfaces))
+                self._shadow = surface_shadow(context, scene.sharp, list(surfaces))
 
     def complete(self, layer: Layer) -> None:
         """Add them to the layer of the whole window."""
@@ -73,8 +82,9 @@ class Outputs:
             layer.coverage = Coverage.joined(self._coverage, self._names)
         layer.shadow = self._shadow
         if self._median is not None:
-            shown = layer.alpha > 0.0
-            layer.median = np.where(shown, self._median / np.where(shown, layer.alpha, 1.0), np.inf).astype(np.float32)
+            total, weight = self._median
+            shown = weight > 0.0
+            layer.median = np.where(shown, total / np.where(shown, weight, 1.0), np.inf).astype(np.float32)
 
 
 class PassOutputs:
@@ -118,7 +128,7 @@ class PassOutputs:
 
     def _add_medians(self, tile: Tile, image: np.ndarray) -> None:
         """Add the distance at which each ray has half its opacity, times the opacity of the layer."""
-        rays = tile_rays(self._context, self._scene, self._pass, tile.unreported())
+        rays = tile_rays(self._context, self._scene.sharp, self._pass, tile.unreported())
         if rays is None:
             return
         (left, top, *_), (x0, y0, x1, y1) = self._outputs.camera.window, tile.camera.window
@@ -133,9 +143,9 @@ class PassOutputs:
             distance[segment.sample_ray] = segment.sample_distance
             for row, values in zip(sums, (weight * distance, weight)):
                 np.add.at(row, rays.pixel[some], values)
-        mean = sums[0] / np.maximum(sums[1], 1e-30)
-        window = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
-        image[window] += (mean * tile.framebuffer.alpha).reshape(y1 - y0, x1 - x0).astype(np.float32)
+        mean, weight = sums[0] / np.maximum(sums[1], 1e-30), tile.framebuffer.alpha * (sums[1] > 0.0)
+        added = np.stack([mean * weight, weight]).astype(np.float32)
+        image[:, y0 - top : y1 - top, x0 - left : x1 - left] += added.reshape(2, y1 - y0, x1 - x0)
 
 
 def _half(count: int) -> tuple[np.ndarray, np.ndarray]:

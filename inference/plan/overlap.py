@@ -22,23 +22,31 @@ def overlapping(
     corners = np.array([_corners(volume) for volume, _ in volumes]).reshape(-1, 8, 3)
     low, high = corners.min(axis=1), corners.max(axis=1)
     extent = (high - low).max(axis=1)
-    overlaps = np.all((low[:, None] < high[None]) & (low[None] < high[:, None]), axis=2)
-    pairs = [
-        (int(first), int(second))
-        for first, second in np.argwhere(np.triu(overlaps, 1))
-        if share_light(volumes[first][1], volumes[second][1])
-    ]
+    pairs = [pair for pair in _meeting(low, high) if share_light(volumes[pair[0]][1], volumes[pair[1]][1])]
+    # Of each volume the members of its group, which these share.
     groups = [[v] for v in range(len(volumes))]
     for first, second in pairs:
-        a, b = (next(group for group in groups if v in group) for v in (first, second))
-        joined = sorted(a + b)
+        if groups[first] is groups[second]:
+            continue
+        joined = sorted(groups[first] + groups[second])
         edge = (high[joined].max(axis=0) - low[joined].min(axis=0)).max()
-        if a is not b and edge <= MAX_EXTENT_RATIO * extent[joined].min():
-            groups = sorted([group for group in groups if group is not a and group is not b] + [joined])
-    apart = [
-        (first, second) for first, second in pairs if not any(first in group and second in group for group in groups)
-    ]
-    return groups, apart
+        if edge <= MAX_EXTENT_RATIO * extent[joined].min():
+            for v in joined:
+                groups[v] = joined
+    apart = [(first, second) for first, second in pairs if groups[first] is not groups[second]]
+    return [group for v, group in enumerate(groups) if group[0] == v], apart
+
+
+def _meeting(low: np.ndarray, high: np.ndarray) -> list[tuple[int, int]]:
+    """Pairs of boxes that overlap, ascending; low, high: (V, 3)."""
+    order, pairs = np.argsort(low[:, 0], kind="stable"), []
+    starts = low[order, 0]
+    # Those that begin, along the first axis, before each of them ends.
+    for place, (v, end) in enumerate(zip(order, np.searchsorted(starts, high[order, 0]))):
+        others = order[place + 1 : end]
+        meet = others[((low[v] < high[others]) & (low[others] < high[v])).all(axis=1)]
+        pairs += [(min(v, other), max(v, other)) for other in meet.tolist()]
+    return sorted((int(first), int(second)) for first, second in pairs)
 
 
 def share_light(medium: Medium, other: Medium) -> bool:

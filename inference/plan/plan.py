@@ -308,7 +308,7 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
     predicts_lamps = settings.multiple and abilities(settings.model).every_light
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
-    if "distant_lamps" in settings.optimizations:
+    if "distant_lamps" in settings.optimizations and len(lamps) > 1:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
         clusters = [joined_lamps(lamps, others, {own.name: _corners(own) for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:

@@ -2,7 +2,7 @@
 """Description of a scene: volumes, media, lights, surfaces, the camera and the settings, as plain arrays."""
 
 from ..runtime.cancellation import Cancelled
-from .camera import Camera
+from .camera import Camera, Lens
 from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Sun, Surface, Volume
 from .environment import Environment
 from .errors import SceneError
@@ -19,6 +19,7 @@ __all__ = [
     "Camera",
     "Cancelled",
     "Environment",
+    "Lens",
     "Light",
     "Medium",
     "PointLight",

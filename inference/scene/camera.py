@@ -24,6 +24,34 @@ class SphericalEye:
     merge: tuple[float, float] | None = None
 
 
+@dataclass(frozen=True)
+class Lens:
+    """A thin lens.
+
+    radius: of its aperture, world units. focus: distance from the camera to what is sharp, along the viewing axis;
+    along each ray for equirectangular cameras. blades: corners of the aperture; below 3 it is round. rotation: of its
+    corners, radians. ratio: the aperture's height over its width. point: (x, y) through which all rays pass, world
+    units to the right and up; None for the whole aperture.
+
+    Raises SceneError for values out of range.
+    """
+
+    radius: float
+    focus: float
+    blades: int = 0
+    rotation: float = 0.0
+    ratio: float = 1.0
+    point: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.radius < np.inf:
+            raise SceneError(f"camera: the aperture's radius {self.radius:g} must not be negative")
+        if not 0.0 < self.focus < np.inf:
+            raise SceneError(f"camera: the focus distance {self.focus:g} must be positive")
+        if not 0.0 < self.ratio < np.inf:
+            raise SceneError(f"camera: the aperture's ratio {self.ratio:g} must be positive")
+
+
 @dataclass
 class Camera:
     """A camera with the axes of Blender: it looks along -Z, +Y is up.
@@ -38,6 +66,7 @@ class Camera:
     clip: (near, far) distances along the viewing axis; along each ray for equirectangular cameras.
     exposure: factor of radiance in the layer, which Cycles calls *Film > Exposure*.
     eye: of spherical stereo (equirectangular).
+    lens: that blurs what is out of focus; None for a pinhole.
     region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
         whole image. The layer has the size of the region.
 
@@ -56,6 +85,7 @@ class Camera:
     region: tuple[int, int, int, int] | None = None
     exposure: float = 1.0
     eye: SphericalEye | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")

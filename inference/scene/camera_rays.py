@@ -4,7 +4,7 @@
 import numpy as np
 
 from ..numerics.small_matmul import inverse, product
-from .camera import Camera, SphericalEye
+from .camera import Camera, Lens, SphericalEye
 
 
 def camera_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -52,8 +52,11 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
             [np.cos(latitude) * np.sin(longitude), np.sin(latitude), -np.cos(latitude) * np.cos(longitude)], axis=1
         )
         beside = np.zeros_like(local)
+        if camera.lens is not None and camera.lens.point is not None:
+            local, beside = _through_lens(camera.lens, local)
         if camera.eye is not None:
-            local, beside = _spherical(camera.eye, local, latitude)
+            local, aside = _spherical(camera.eye, local, latitude)
+            beside = beside + aside
         directions = product(local, rotation.T)
         origins = eye + product(beside, rotation.T)
         cosine = np.ones_like(u)
@@ -72,6 +75,16 @@ def viewing_cosine(camera: Camera, directions: np.ndarray) -> np.ndarray:
     if camera.projection == "equirectangular":
         return np.ones(len(directions))
     return directions @ (-camera.world_matrix[:3, 2] / np.linalg.norm(camera.world_matrix[:3, 2]))
+
+
+def _through_lens(lens: Lens, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `_spherical`, of rays through the lens' point. The lens faces each ray, its first axis towards -Z."""
+    assert lens.point is not None
+    across = local[:, 2:] * local + [0.0, 0.0, -1.0]
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    beside = lens.point[0] * across + lens.point[1] * np.cross(local, across)
+    directions = lens.focus * local - beside
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True), beside
 
 
 def _spherical(eye: SphericalEye, local: np.ndarray, latitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,17 +134,57 @@ def image_points(camera: Camera, points: np.ndarray) -> np.ndarray | None:
     """
     if camera.projection == "equirectangular":
         return None
+    if camera.projection == "perspective":
+        x, y, z = np.moveaxis(_local(camera, points), -1, 0)
+        if not z.max() < -1e-6 * max(np.abs(x).max(), np.abs(y).max(), np.abs(z).max()):
+            return None
+    return seen_at(camera, points)
+
+
+def _local(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """World points (..., 3) along the camera's axes, from its eye."""
     rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
-    x, y, z = np.moveaxis(product(points - camera.world_matrix[:3, 3], inverse(rotation).T), -1, 0)
-    if camera.projection == "orthographic":
-        extent: np.ndarray | float = camera.ortho_scale
-    elif z.max() < -1e-6 * max(np.abs(x).max(), np.abs(y).max(), np.abs(z).max()):
-        extent = -2.0 * np.tan(0.5 * camera.fov) * z
-    else:
-        return None
-    width, height = camera.resolution
+    return product(points - camera.world_matrix[:3, 3], inverse(rotation).T)
+
+
+def seen_at(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Where world points (..., 3) are seen, (2, ...) in pixels from the image's upper left corner; NaN behind it."""
+    x, y, z = np.moveaxis(_local(camera, points), -1, 0)
+    (width, height), (left, right), (lower, upper) = camera.resolution, camera.longitude, camera.latitude
+    if camera.projection == "equirectangular":
+        if camera.lens is not None and camera.lens.point is not None:
+            # Rays through the lens' point leave the middle's by so much there.
+            distance = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)
+            towards = np.stack([x, y, z], axis=-1) / distance[..., None]
+            _, beside = _through_lens(camera.lens, towards.reshape(-1, 3))
+            aside = beside.reshape(towards.shape) * (distance / camera.lens.focus - 1.0)[..., None]
+            x, y, z = np.moveaxis(towards * distance[..., None] + aside, -1, 0)
+        latitude = np.arctan2(y, np.hypot(x, z))
+        return np.stack(
+            [(np.arctan2(x, -z) - left) / (right - left) * width, (upper - latitude) / (upper - lower) * height]
+        )
+    extent: np.ndarray | float = camera.ortho_scale
+    if camera.projection == "perspective":
+        extent = np.where(z < 0.0, -2.0 * np.tan(0.5 * camera.fov) * z, np.nan)
     column = (x / extent - camera.shift[0]) * width + 0.5 * width
     return np.stack([column, 0.5 * height - (y / extent - camera.shift[1]) * width])
+
+
+def places_in_image(
+    camera: Camera, pixel: np.ndarray, directions: np.ndarray, by_direction: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays are in the image, (N,) pixels each from the left and from above.
+
+    pixel: int (N,), of the camera's window, row by row. directions: (N, 3) of the rays. by_direction: whether they are
+    not the rays of those pixels; then where the camera has rays along the directions, or nearest to that.
+    """
+    if by_direction and camera.projection != "orthographic":
+        width, height = camera.resolution
+        x, y = np.nan_to_num(seen_at(camera, camera.world_matrix[:3, 3] + directions))
+        return np.clip(x, 0.0, width), np.clip(y, 0.0, height)
+    x0, y0, x1, _ = camera.window
+    row, column = np.divmod(pixel, x1 - x0)
+    return column + x0 + 0.5, row + y0 + 0.5
 
 
 def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, int]:
@@ -150,6 +203,29 @@ def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, i
     left, top = np.clip(low, [x0, y0], [x1, y1]).astype(int).tolist()
     right, bottom = np.clip(high, [x0, y0], [x1, y1]).astype(int).tolist()
     return left, top, right, bottom
+
+
+def windows_around(camera: Camera, corners: np.ndarray) -> np.ndarray:
+    """As `window_around`, int (V, 4), of the convex hulls of V times N points (V, N, 3); empty behind the camera."""
+    x0, y0, x1, y1 = camera.window
+    windows = np.tile([x0, y0, x1, y1], (len(corners), 1))
+    if camera.projection == "equirectangular":
+        return windows
+    ahead = -_local(camera, corners)[..., 2]
+    nearest, farthest = ahead.min(axis=1), ahead.max(axis=1)
+    windows[farthest < 0.0] = 0
+    size = np.abs(corners - camera.world_matrix[:3, 3]).max(axis=(1, 2))
+    seen = np.flatnonzero((nearest > 1e-6 * size.max(initial=0.0)) | (camera.projection == "orthographic"))
+    pixels = image_points(camera, corners[seen]) if len(seen) else None
+    if pixels is None:
+        return windows
+    # One pixel more on each side, for rounding.
+    low, high = np.floor(pixels.min(axis=2)) - 1.0, np.ceil(pixels.max(axis=2)) + 1.0
+    finite = (np.isfinite(low) & np.isfinite(high)).all(axis=0)
+    first, end = np.array([[x0], [y0]]), np.array([[x1], [y1]])
+    found = np.concatenate([np.clip(low, first, end), np.clip(high, first, end)])[:, finite].T
+    windows[seen[finite]] = found.astype(int)
+    return windows
 
 
 def pixels_around(camera: Camera, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ class Settings:
 
     depth_samples: network evaluations along a camera ray through an opaque medium, 1 to 512.
     model: name of the network, a file in inference/weights or a registered system.
+    blur_rays: rays per pixel that sample the lens, 2 to 256, where the camera has one.
     seed: of the jitter of lookups; equal seeds give equal images.
     threads: worker threads, 0 for one per core; the image does not depend on it.
     memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.
@@ -38,6 +39,7 @@ class Settings:
     """
 
     depth_samples: int = 4
+    blur_rays: int = 4
     model: str = "mrpnn"
     seed: int = 0
     threads: int = 0
@@ -53,6 +55,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name, least, most in (
             ("depth samples", 1, 512),
+            ("blur rays", 2, 256),
             ("threads", 0, 1024),
             ("seed", 0, 2**63 - 1),
             ("most voxels", 0, 2**31),

@@ -149,8 +149,12 @@ class ScatteredFluence:
         cls, cube: Cube, lights: list[np.ndarray], anisotropy: float, scales: list[float] | None = None
     ) -> "ScatteredFluence":
         """From the solution in the working cube of a volume."""
-        linear = cube.rotation.T * (CELLS / cube.edge)
-        return cls(linear, 0.5 * CELLS - linear @ cube.centre, lights, anisotropy, scales)
+        return cls(*_placement(cube), lights, anisotropy, scales)
+
+    def placed(self, cube: Cube) -> "ScatteredFluence":
+        """The same in another instance of the volume."""
+        linear, offset = _placement(cube)
+        return replace(self, linear=linear, offset=offset)
 
     def of_parts(self, numbers: Sequence[int]) -> "ScatteredFluence":
         """For each of some suns or lamps the light of the one with a number."""
@@ -178,3 +182,9 @@ class ScatteredFluence:
         """Flat cell numbers (N,) in the lights, at indices float32 (3, N)."""
         x, y, z = np.clip(index, np.float32(0.0), np.float32(CELLS - 1)).astype(np.int32)
         return (x * np.intp(CELLS) + y) * np.intp(CELLS) + z
+
+
+def _placement(cube: Cube) -> tuple[np.ndarray, np.ndarray]:
+    """linear (3, 3) and offset (3,) of the cells of a cube."""
+    linear = cube.rotation.T * (CELLS / cube.edge)
+    return linear, 0.5 * CELLS - linear @ cube.centre

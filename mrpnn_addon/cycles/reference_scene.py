@@ -82,11 +82,18 @@ def view_scene(
         if world is not None:
             reference.world = world
         reference.cycles.volume_step_rate = tracing.step_rate
-        if tracing.box_filter:
+        # A blurred layer's pixels are means, too.
+        if tracing.box_filter or _is_blurred(scene):
             reference.cycles.pixel_filter_type = "BOX"
         for shown in objects:
             reference.collection.objects.link(shown)
         yield reference
+
+
+def _is_blurred(scene: "bpy.types.Scene") -> bool:
+    """Whether a scene's camera has a lens."""
+    lens: Any = scene.camera.data
+    return isinstance(lens, bpy.types.Camera) and lens.dof.use_dof
 
 
 @contextmanager
@@ -162,7 +169,7 @@ def _black_world() -> "bpy.types.World":
 
 
 def _copy_view(source: "bpy.types.Scene", reference: "bpy.types.Scene", keep: Callable[[Any], Any]) -> None:
-    """Copy frame, resolution, region, threads, exposure and camera of `source`; the camera without depth of field."""
+    """Copy frame, resolution, region, threads, exposure and camera of `source`."""
     for name in (
         "resolution_x",
         "resolution_y",
@@ -181,10 +188,7 @@ def _copy_view(source: "bpy.types.Scene", reference: "bpy.types.Scene", keep: Ca
     reference.cycles.film_exposure = film_exposure(source)
     # The layer has the region's size.
     reference.render.use_crop_to_border = True
-    lens = keep(source.camera.data.copy())
-    lens.dof.use_dof = False
     reference.camera = keep(source.camera.copy())
-    reference.camera.data = lens
     reference.collection.objects.link(reference.camera)
     reference.frame_set(source.frame_current, subframe=source.frame_subframe)
 

@@ -166,6 +166,7 @@ def view_key(camera: Camera) -> tuple:
         camera.ortho_scale,
         camera.shift,
         camera.exposure,
+        camera.lens,
     )
 
 

@@ -35,7 +35,7 @@ from ..volumes.reader import VolumeReader
 from . import builtin_panels, viewport
 from .render_job import render_scene, stamp, write_deep_files
 from .render_result import RenderResult
-from .viewport import Viewport, viewport_camera
+from .viewport import Viewport, viewport_camera, viewport_lens
 from .viewport_region import WHOLE, coarser, pixel_size, render_region
 
 # Seconds between two looks at a thread, and between two updates of the clock.
@@ -130,6 +130,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
                 camera,
                 resolution=coarser(camera.resolution, pixel_size(depsgraph.scene)),
                 exposure=film_exposure(depsgraph.scene),
+                lens=viewport_lens(context, depsgraph),
             )
         except SceneError:
             # A camera of scale 0 shows nothing.

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rendered viewports: progressive pictures while nothing changes."""
 
+from typing import Any
+
 import bpy
 import gpu
 import numpy as np
@@ -8,11 +10,13 @@ from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
 from ...inference import RenderCache
-from ...inference.scene import Camera, SceneError, Settings
+from ...inference.scene import Camera, Lens, SceneError, Settings
+from ..objects.camera import read_lens
 from ..objects.visibility import visibility_state
 from ..runtime.background import Worker
 from ..scene.reader import SceneDescription, read_view
 from ..scene.unrendered import composited, unrendered
+from ..settings.properties import scene_settings
 from ..volumes.loading import VolumeLoading
 from ..volumes.reader import VolumeReader
 from ..world import picture as world_picture
@@ -64,6 +68,19 @@ def viewport_camera(
         ortho_scale=2.0 * share * half_width,
         shift=(shift_x / share, shift_y / share),
         clip=(near, clip_end),
+    )
+
+
+def viewport_lens(context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph") -> Lens | None:
+    """The lens through which a 3D viewport is seen; None unless *Blur in Viewport* is on and it shows what a camera
+    sees.
+    """
+    space: Any = context.space_data
+    camera = space.camera if space.use_local_camera else depsgraph.scene.camera
+    if context.region_data.view_perspective != "CAMERA" or camera is None or camera.type != "CAMERA":
+        return None
+    return (
+        read_lens(camera.evaluated_get(depsgraph), depsgraph) if scene_settings(depsgraph.scene).viewport_blur else None
     )
 
 

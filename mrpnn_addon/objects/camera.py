@@ -7,8 +7,7 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
-from ...inference.scene import Camera, SceneError
-from .ignored_settings import CAMERA, ignored_settings
+from ...inference.scene import Camera, Lens, SceneError
 from .placement import placement_problem
 from .views import View, eye_of, stereo_warnings, view_camera, wanted_views
 
@@ -78,7 +77,7 @@ def read_camera(
     if lens.clip_start >= lens.clip_end:
         raise SceneError(f"{where}: its Clip Start is not below its Clip End, so it sees nothing")
 
-    warnings = ignored_settings(lens, CAMERA, f"{where}:") + stereo_warnings(lens, scene, where)
+    warnings = stereo_warnings(lens, scene, where)
     if panorama:
         return Camera(
             _orthonormal(matrix) @ eye.placement,
@@ -90,6 +89,7 @@ def read_camera(
             region=_region(render, width, height),
             exposure=film_exposure(scene),
             eye=eye.spherical,
+            lens=read_lens(camera, depsgraph),
         ), warnings
     window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
     perspective = lens.type == "PERSP"
@@ -109,7 +109,33 @@ def read_camera(
         clip=(lens.clip_start, lens.clip_end),
         region=_region(render, width, height),
         exposure=film_exposure(scene),
+        lens=read_lens(camera, depsgraph),
     ), warnings
+
+
+def read_lens(camera: "bpy.types.Object", depsgraph: "bpy.types.Depsgraph") -> Lens | None:
+    """The thin lens of an evaluated camera, as in Cycles; None without *Depth of Field*."""
+    lens: Any = camera.data
+    dof = lens.dof
+    if not dof.use_dof:
+        return None
+    matrix, focus = np.array(camera.matrix_world), dof.focus_distance
+    if dof.focus_object is not None:
+        target = dof.focus_object.evaluated_get(depsgraph)
+        place = target.matrix_world
+        if target.pose is not None and dof.focus_subtarget in target.pose.bones:
+            place = place @ target.pose.bones[dof.focus_subtarget].matrix
+        axis = matrix[:3, 2] / np.linalg.norm(matrix[:3, 2])
+        focus = abs(float(axis @ (matrix[:3, 3] - np.array(place)[:3, 3])))
+    diameter = (1.0 if lens.type == "ORTHO" else 1e-3 * lens.lens) / max(dof.aperture_fstop, 1e-5)
+    # A camera that focuses on its own place sees nothing sharp, and rays need a direction.
+    return Lens(
+        radius=0.5 * diameter,
+        focus=max(focus, 1e-6),
+        blades=dof.aperture_blades,
+        rotation=dof.aperture_rotation,
+        ratio=dof.aperture_ratio,
+    )
 
 
 def film_exposure(scene: "bpy.types.Scene") -> float:

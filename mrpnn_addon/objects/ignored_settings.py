@@ -56,7 +56,6 @@ VOLUME_MATERIAL = (
         "cycles.volume_interpolation", "has cubic interpolation of volumes; they are rendered with linear interpolation"
     ),
 )
-CAMERA = (IgnoredSetting("dof.use_dof", "depth of field is not rendered"),)
 WORLD = (
     IgnoredSetting("cycles.max_bounces", "has a limit of bounces; its light is rendered with all of them"),
     # Blender 5.2 and later.

@@ -71,6 +71,19 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         soft_max=64,
         description="Points along each camera ray at which the network predicts multiple scattering",
     )
+    blur_rays: IntProperty(
+        name="Blur Rays",
+        default=Settings.blur_rays,
+        min=2,
+        max=256,
+        soft_max=32,
+        description="Rays through each pixel where depth of field blurs the picture. More give less noise",
+    )
+    viewport_blur: BoolProperty(
+        name="Blur in Viewport",
+        default=False,
+        description="Show depth of field in Rendered shading, where a viewport looks through the camera",
+    )
     model: EnumProperty(
         name="Network",
         items=_scene_models,
@@ -129,6 +142,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         model = preferred.model if self.model == AS_PREFERRED[0] else self.model or Settings.model
         return Settings(
             depth_samples=self.depth_samples,
+            blur_rays=self.blur_rays,
             model=model,
             seed=self.seed,
             optimizations=self.optimizations,

@@ -37,9 +37,6 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
     """What suits what renders show, without reading volumes."""
     scene = depsgraph.scene
     needs, surfaces = [], False
-    lens: Any = scene.camera and scene.camera.data
-    if isinstance(lens, bpy.types.Camera) and lens.dof.use_dof:
-        needs.append("depth of field")
     if scene.render.use_motion_blur:
         needs.append("motion blur")
     for shown in visible_objects(depsgraph):

@@ -47,6 +47,19 @@ def test_instances_look_like_copies(places, light):
     np.testing.assert_allclose(shared.alpha, apart.alpha, rtol=1e-5, atol=1e-7)
 
 
+def test_alike_instances_that_overlap_look_like_copies():
+    """A row too long to be one medium: some points are in two instances that are predicted together."""
+    volumes = [at((0.75 * n - 1.9, 0.0, 0.0)) for n in range(6)]
+    lights = [Sun((0.4, 0.3, 0.8), 2.0), SKY]
+    shared, apart = (
+        render([(volume, MEDIUM) for volume in each], lights, VIEW, cache=RenderCache())
+        for each in (volumes, copies(volumes))
+    )
+    np.testing.assert_allclose(shared.rgb, apart.rgb, rtol=0.01, atol=0.01 * apart.rgb.max())
+    assert shared.rgb.mean() == pytest.approx(apart.rgb.mean(), rel=1e-3)
+    np.testing.assert_allclose(shared.alpha, apart.alpha, rtol=1e-5, atol=1e-7)
+
+
 def test_what_instances_have_in_common_is_made_once():
     cache, volumes = RenderCache(), [at((1.3 * n - 1.3, 0.0, 0.0)) for n in range(3)]
     lights, pairs = [Sun((0.4, 0.3, 0.8), 2.0), SKY], [(volume, MEDIUM) for volume in volumes]

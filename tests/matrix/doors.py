@@ -193,7 +193,9 @@ def viewport(shot: Shot) -> None:
             lens.clip_end,
             part,
         )
-    camera = replace(camera, exposure=shot.package.mrpnn_addon.objects.camera.film_exposure(scene))
+    objects = shot.package.mrpnn_addon.objects.camera
+    blurred = objects.read_lens(scene.camera.evaluated_get(depsgraph), depsgraph)
+    camera = replace(camera, exposure=objects.film_exposure(scene), lens=blurred)
     settings = scene.mrpnn.settings()
     shared = engine.preview.Prepared(shot.package.inference.RenderCache())
     # The second view finds what the first one has computed, and takes other steps.

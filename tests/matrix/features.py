@@ -287,6 +287,14 @@ def camera(stage: Stage, **values: object) -> "bpy.types.Object":
     return added
 
 
+def lens(stage: Stage) -> None:
+    """Depth of field, focused on an object in front of the volumes."""
+    dof = camera(stage).data.dof
+    dof.use_dof, dof.aperture_fstop, dof.aperture_blades = True, 0.5, 5
+    dof.focus_object = stage.add("Focus", None)
+    dof.focus_object.location = 0.3, -2.0, 0.5
+
+
 def panorama(stage: Stage) -> None:
     lens = camera(stage, type="PANO").data
     settings = lens if hasattr(lens, "panorama_type") else lens.cycles
@@ -418,6 +426,7 @@ DIMENSIONS: dict[str, dict[str, Build]] = {
         "stereo": stereo,
         "border": border,
         "shift": lambda stage: camera(stage, shift_x=0.15, shift_y=-0.1),
+        "lens": lens,
     },
     "film": {
         "opaque": film(False, 1.0),

@@ -30,6 +30,7 @@ ROOMS = {
         "runtime",
         "scene",
         "kernels",
+        "blur",
         "onnx",
         "models",
         "occluders",

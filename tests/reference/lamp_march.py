@@ -250,7 +250,8 @@ def march_lamps(
     wanted if there is a fluence.
     """
     lamps, radius, options = march.lamps, march.radius, replace(options, fluence=march.fluence)
-    cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
+    skip_empty = "empty_space" in options.optimizations
+    cutting = Cutting(optical_depth_behind(options), skip_empty=skip_empty, everywhere=True)
     medium = MarchedMedium(media, rays, cutting)
     steps = _Steps(medium, rays, medium.total > 0.0)
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)

@@ -18,7 +18,7 @@ from inference.scene.optimizations import ALL
 from inference.transport.scattered_fluence import ScatteredFluence
 
 from .ray_features import SampleSteps, gather_ray_features
-from .ray_steps import Blocks, Cutting, RayLines, cut_into_blocks, sums_within
+from .ray_steps import Blocks, Cutting, RayLines, cut_into_blocks, met_volumes, sums_within
 from .sun_columns import sun_optical_depth
 
 # Further from 0 than any number of a step, and still a whole number in single precision.
@@ -68,9 +68,10 @@ class MarchedMedium:
         return edges
 
 
-def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -> RaySegment:
-    """March rays, whose intervals contain all media, through all of them."""
-    cutting = Cutting(optical_depth_behind(options), skip_empty="empty_space" in options.optimizations)
+def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions, lamps: bool = False) -> RaySegment:
+    """March rays, whose intervals contain all media, through all of them; lamps: whether there are any."""
+    skip_empty = "empty_space" in options.optimizations
+    cutting = Cutting(optical_depth_behind(options), skip_empty=skip_empty, everywhere=lamps)
     medium = MarchedMedium(media, rays, cutting)
     lines, blocks, total, dt = medium.lines, medium.blocks, medium.total, medium.dt
     transmitted = np.exp(-medium.before).astype(np.float32)[:, None] * np.exp(medium.tau - medium.within)
@@ -104,6 +105,10 @@ def march(media: Sequence[BoundMedium], rays: RayBatch, options: MarchOptions) -
         features = gather_ray_features(
             blocks, sigma * dt, depths, source, reduced_fractions(options.fluence), samples, visibility
         )
+        if not lamps:
+            met = met_volumes(media, rays)[ray]
+            for g, group in enumerate(options.groups or [[v] for v in range(len(media))]):
+                features.values[~met[:, group].any(axis=1), g] = 0.0
     return RaySegment(
         alpha,
         depth,
@@ -307,18 +312,23 @@ def _detailed_opacities(
 
 
 def emitted_radiance(
-    media: Sequence[BoundMedium], rays: RayBatch, channels: Sequence[int], optimizations: frozenset[str] = ALL
+    media: Sequence[BoundMedium],
+    rays: RayBatch,
+    channels: Sequence[int],
+    optimizations: frozenset[str] = ALL,
+    lamps: bool = False,
 ) -> np.ndarray | None:
     """Emitted radiance (R, C) along rays in C colour channels, the integral of T(t) e(x(t)) dt; None if nothing emits.
 
     T is the transmittance through all media and e their emission; extinction and emission are constant within a step.
     rays: with intervals that contain all media. optimizations: those in use, as in Settings.
+    lamps: whether there are any.
     """
     emitting = [v for v, medium in enumerate(media) if medium.emits]
     if not emitting:
         return None
     behind = MAX_OPTICAL_DEPTH if "behind_opaque" in optimizations else np.inf
-    cutting = Cutting(behind, skip_empty="empty_space" in optimizations, keep_empty=True)
+    cutting = Cutting(behind, skip_empty="empty_space" in optimizations, keep_empty=True, everywhere=lamps)
     lines, blocks, sigma = cut_into_blocks(media, rays, cutting)
     # Transmittance to each step, averaged over the step, times the length of the step.
     dt = (lines.dt[blocks.ray] * blocks.size).astype(np.float32)[:, None]

@@ -18,6 +18,7 @@ from inference.marching.ray_steps import (
     STEP_GROWTH,
     STEP_THICKNESS,
     STEPS,
+    Boxes,
     RayBatch,
     step_counts,
 )
@@ -138,13 +139,23 @@ class Cutting:
 
     behind: optical depth beyond which they are not followed. skip_empty: without, places away from density are looked
     at like others. keep_empty: keep blocks without extinction, where any volume may hold something. always_first: keep
-    the first block of each ray.
+    the first block of each ray. everywhere: volumes count even on rays that miss their support.
     """
 
     behind: float
     skip_empty: bool = True
     keep_empty: bool = False
     always_first: bool = False
+    everywhere: bool = False
+
+
+def met_volumes(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
+    """bool (R, V): whether rays meet the support of each volume."""
+    met = []
+    for medium in media:
+        enter, leave = medium.grid.interval(rays.origins, rays.directions)
+        met.append(np.maximum(enter, rays.near) <= np.minimum(leave, rays.far))
+    return np.stack(met, axis=1)
 
 
 def cut_into_blocks(
@@ -154,8 +165,9 @@ def cut_into_blocks(
 
     Each ray looks at one block after another, as coarse as it may be, and cuts those that turn out to be too thick.
     """
-    lines = RayLines(media, rays, step_counts(media, rays))
+    lines = RayLines(media, rays, step_counts(Boxes.of(media), rays))
     count = len(lines.count)
+    met = met_volumes(media, rays) | (cutting.everywhere or len(media) == 1)
     whole = -(-lines.count // STEPS) * float(STEPS)
     place, reached, gap = np.zeros((3, count))
     level = np.zeros(count, int)
@@ -168,7 +180,7 @@ def cut_into_blocks(
         for _ in range(LEVELS):
             level[ray] -= (level[ray] > 0) & (place[ray] >= end[ray, level[ray]])
         blocks = Blocks(count, ray, place[ray], size[ray, level[ray]])
-        sigma, near, nearby = _look_at(media, lines, blocks, cutting)
+        sigma, near, nearby = _look_at(media, lines, blocks, cutting, met)
         looked_at += int(near.sum())
         tau = sigma.sum(axis=0) * (lines.dt[ray] * blocks.size).astype(np.float32)[:, None]
         peak = nearby * (lines.dt[ray] * blocks.size)
@@ -199,10 +211,12 @@ def cut_into_blocks(
 
 
 def _look_at(
-    media: Sequence[BoundMedium], lines: RayLines, blocks: Blocks, cutting: Cutting
+    media: Sequence[BoundMedium], lines: RayLines, blocks: Blocks, cutting: Cutting, met: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Extinction (V, P, STEPS) of blocks, whether any volume may hold something there, bool (P,), and the largest
     extinction float64 (P,) that there may be.
+
+    met: of `met_volumes`.
     """
     sigma = np.zeros((len(media), len(blocks.ray), STEPS), np.float32)
     nearby = np.zeros(len(blocks.ray))
@@ -210,8 +224,9 @@ def _look_at(
     inside = blocks.steps(0.0) < lines.count[blocks.ray, None]
     for v, medium in enumerate(media):
         middle = lines.index(v, blocks.ray, blocks.place + 0.5 * STEPS * blocks.size)
-        near = medium.grid.occupancy.near(middle) | (not cutting.skip_empty)
-        nearby += medium.grid.occupancy.peak(middle).astype(np.float64) * medium.sigma_t
+        near = (medium.grid.occupancy.near(middle) | (not cutting.skip_empty)) & met[blocks.ray, v]
+        peak = medium.grid.occupancy.peak(middle).astype(np.float64) * met[blocks.ray, v]
+        nearby += peak * medium.sigma_t
         anywhere = anywhere | near
         if medium.sigma_t > 0.0:
             some = Blocks(blocks.rays, blocks.ray[near], blocks.place[near], blocks.size[near])

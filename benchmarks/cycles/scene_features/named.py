@@ -29,7 +29,6 @@ def glass(stage):
 
 
 def blur(stage):
-    stage.camera.data.dof.use_dof = True
     stage.scene.render.use_motion_blur = True
 
 
@@ -55,7 +54,7 @@ NAMED = {
     "Shadow linking": linked_sun,
     "Opaque mesh": surface,
     "Glass": glass,
-    "Depth of field, motion blur": blur,
+    "Motion blur": blur,
     "Panoramic camera": panorama,
     "Anisotropy that varies with the density": varying_phase,
     "Layer Weight in the density": layer_weight,

@@ -66,8 +66,9 @@ def compiled(scene: MarchScene) -> RaySegment:
 
 
 def twin(scene: MarchScene) -> RaySegment:
-    emission = emitted_radiance(scene.media, scene.rays, scene.channels, scene.options.optimizations)
-    segment = dataclasses.replace(march(scene.media, scene.rays, scene.options), emission=emission)
+    lamps = scene.lamps is not None
+    emission = emitted_radiance(scene.media, scene.rays, scene.channels, scene.options.optimizations, lamps)
+    segment = dataclasses.replace(march(scene.media, scene.rays, scene.options, lamps), emission=emission)
     if scene.lamps is None:
         return segment
     samples = segment.sample_ray, segment.sample_distance

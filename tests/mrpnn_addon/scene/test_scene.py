@@ -334,10 +334,10 @@ def test_what_is_not_rendered_is_named(addon, scene, tmp_path):
     bare.data.use_shadow = bare.data.cycles.cast_shadow = False
     blind = blender_scenes.add_sun(scene, "Blind")
     blind.visible_volume_scatter = False
-    scene.camera.data.dof.use_dof = True
+    scene.render.use_motion_blur = True
     described = read(addon)
     text = "\n".join(described.warnings)
-    for named in ("Ground", "Bare", "depth of field"):
+    for named in ("Ground", "Bare", "motion blur"):
         assert named in text
     assert len(described.warnings) == 3
     # A collection without objects links to all; what volumes do not see lights the ground alone.

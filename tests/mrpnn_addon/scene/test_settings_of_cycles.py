@@ -209,13 +209,12 @@ def changed(owner, path):
     return True
 
 
-@pytest.mark.parametrize("name", ["LIGHT", "VOLUME", "VOLUME_MATERIAL", "CAMERA", "WORLD", "SCENE", "VIEW_LAYER"])
+@pytest.mark.parametrize("name", ["LIGHT", "VOLUME", "VOLUME_MATERIAL", "WORLD", "SCENE", "VIEW_LAYER"])
 def test_each_ignored_setting_is_named_once_it_is_set(addon, scene, lit, name):
     owner = {
         "LIGHT": scene.objects["Sun"],
         "VOLUME": scene.objects["Cloud"],
         "VOLUME_MATERIAL": scene.objects["Cloud"].data.materials[0],
-        "CAMERA": scene.camera.data,
         "WORLD": scene.world,
         "SCENE": scene,
         "VIEW_LAYER": scene.view_layers[0],
