@@ -119,6 +119,7 @@ def _finished_parts(
             if scene.eyes is not None:
                 with report.stage("blur"):
                     framebuffer = framebuffer.joined(camera.window, tasks.each)
+                    outputs.join(framebuffer.sharpness, tasks.each)
             outputs.add_shadow(context, scene, surfaces)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a render gives on request besides colours: deep samples, coverage by volumes, depth of the median, shadow."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..blur.reconstruction import join
 from ..deep.deep_image import DeepImage
 from ..image.camera_pass import STEPS_PER_TASK, tile_rays
 from ..image.context import ChannelPass, PreparedScene, RenderContext, Tile
@@ -62,6 +63,19 @@ class Outputs:
         """What a pass of colour channels adds."""
         self._names = [volume.name for volume, _ in scene.plan.volumes]
         return PassOutputs(self, context, scene, channel_pass)
+
+    def join(self, sharpness: np.ndarray, each: Callable[..., Iterable[None]]) -> None:
+        """Join pixels of a blurred picture, whose sharpness (P, 4) is as of `blur.reconstruction`."""
+        if "coverage" not in self.wanted:
+            return
+        (x0, y0, x1, y1), found = self.camera.window, Coverage.joined(self._coverage, self._names)
+        sharpness, self._coverage = sharpness.reshape(y1 - y0, x1 - x0, 4), []
+        for volume in np.unique(found.volume):
+            image, own = np.zeros((y1 - y0) * (x1 - x0), np.float32), found.volume == volume
+            image[found.pixel[own]] = found.share[own]
+            [joined] = join([image.reshape(sharpness.shape[:2])], sharpness, each)
+            pixel = np.flatnonzero(joined)
+            self._coverage.append(Coverage(pixel, np.full(len(pixel), volume), joined.ravel()[pixel]))
 
     def add_shadow(self, context: RenderContext, scene: PreparedScene, surfaces: Sequence[Surface]) -> None:
         """Add the shadow of volumes on surfaces, where it is wanted. Raises Cancelled."""

@@ -135,12 +135,14 @@ def test_outputs_of_one_ray_are_those_of_the_middle_of_the_lens_and_deep_samples
     camera = Camera(place, resolution=(48, 48), fov=0.2)
     floor = Surface(np.array([[[-9.0, -9.0, -0.2], [9.0, -9.0, -0.2], [0.0, 9.0, -0.2]]]))
     blurred, sun = replace(camera, lens=Lens(0.02, 1.0)), [Sun((0.3, 0.2, 1.0), 1.0)]
-    settings = Settings(outputs=frozenset({"median", "shadow"}))
+    settings = Settings(outputs=frozenset({"median", "shadow", "coverage"}))
     sharp, found = (render([ball()], sun, seen, settings, surfaces=[floor]) for seen in (camera, blurred))
     assert np.array_equal(found.shadow, sharp.shadow) and sharp.shadow.min() < 0.5
     both = np.isfinite(found.median) & np.isfinite(sharp.median)
     assert both.sum() > 0.9 * np.isfinite(sharp.median).sum()
     assert np.allclose(found.median[both], sharp.median[both], rtol=1e-5)
+    covered = np.bincount(found.coverage.pixel, found.coverage.share, 48 * 48)
+    assert np.allclose(covered, found.alpha.ravel(), atol=1e-5)
     with pytest.raises(SceneError, match="deep samples.*depth of field"):
         render([ball()], sun, blurred, Settings(outputs=frozenset({"deep"})))
 
