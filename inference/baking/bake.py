@@ -35,7 +35,7 @@ _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
 # Predictions for each of the directions whose mean is baked.
-MEAN_PREDICTIONS = 2000
+MEAN_PREDICTIONS = 6000
 # Predictions of the light of environments, which is smooth, over those of lights.
 SKY_SHARE = 0.5
 # Steps of the ray that a point marches, about, for the progress.
@@ -115,6 +115,8 @@ class _Bake:
         self.view, self._switches = baked_view(camera), context.settings.optimizations
         self.lattices = [self._lattice(v) for v in range(len(scene.plan.volumes))]
         self.visibilities = [self._visibility(v) for v in range(len(scene.plan.volumes))]
+        # Along the directions whose mean is baked, of each volume.
+        self._known: list[list[KnownLight]] = [[] for _ in self.lattices]
         self._expect()
 
     def run(self) -> dict[int, LitVolume]:
@@ -226,6 +228,7 @@ class _Bake:
         mean = np.zeros((len(places), 3), np.float32)
         for direction, share in zip(DIRECTIONS, shares.T.astype(np.float32)):
             mean += share[:, None] * along(BakedView(direction=direction), share, MEAN_PREDICTIONS)
+        self._known[v] += guided.known
         return self._in_voxels(v, grid.spread(places, mean), grid, wanted)
 
     def _predicted(self, light: GroupRadiance, positions: np.ndarray) -> np.ndarray:
@@ -321,6 +324,7 @@ class _Bake:
             known = self.view.directions(guided.middle[None])
             if known is not None:
                 guided.known.append(KnownLight(known[0], PointGrid.over(lattice, 1), grey_of(scattered)))
+            guided.known.extend(self._known[v])
             with report.stage("directions"):
                 fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, guided)
                 directional = fit.factor(DETAIL_SHARPNESS * medium.anisotropy**2)
