@@ -27,7 +27,7 @@ from .support.pages import replace, with_table, write_tables
 from .support.provenance import made_by
 
 #: What decides a figure; pages are not among it.
-CODE = ("inference", "mrpnn_addon", "operators", "training", "benchmarks")
+CODE = ("inference", "evaluation", "mrpnn_addon", "operators", "training", "benchmarks")
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
 EEVEE = "benchmarks.cycles.baked_eevee"

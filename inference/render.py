@@ -31,6 +31,7 @@ from .network.interfaces import System
 from .occluders.depth_buffer import DepthBuffer
 from .occluders.occluders import NO_OCCLUDERS, Occluders, find_occluders
 from .occluders.seen_surfaces import vantage
+from .outputs.requested import Outputs
 from .plan.lights import without_lamps
 from .plan.plan import Channels, Plan, decide, plan_tiles, see_sky, sort_lights, sort_scene
 from .plan.savings import estimated_savings
@@ -112,7 +113,9 @@ def _finished_parts(
             scene = prepare_scene(context, volumes, lights, camera, surfaces)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
-            yield from _render_passes(context, scene, framebuffer)
+            outputs = Outputs(settings.outputs, camera)
+            yield from _render_passes(context, scene, framebuffer, outputs)
+            outputs.add_shadow(context, scene, surfaces)
     context.progress.finish()
     report.planned, report.left_out = scene.plan.planned, scene.plan.left_out
     report.count("pixels", len(framebuffer.alpha))
@@ -125,6 +128,7 @@ def _finished_parts(
 
     def compose() -> Layer:
         layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), camera.exposure, report)
+        outputs.complete(layer)
         network = scene.network
         if scene.uncertainty_network or (network and network.deviation is not None):
             report.expected_error = expected_error(layer)
@@ -134,7 +138,7 @@ def _finished_parts(
 
 
 def _render_passes(
-    context: RenderContext, scene: PreparedScene, framebuffer: Framebuffer
+    context: RenderContext, scene: PreparedScene, framebuffer: Framebuffer, outputs: Outputs
 ) -> Iterator[tuple[Window, Callable[[], Layer]]]:
     """Render into the framebuffer; yield the window of each finished tile, and what composes its Layer."""
     if not scene.plan.volumes:
@@ -143,7 +147,7 @@ def _render_passes(
     for channels in scene.plan.channels:
         channel_pass = _channel_pass(context, scene, channels)
         work.survey(channel_pass)
-        for tile in _tiles(context, scene, channel_pass, framebuffer):
+        for tile in _tiles(context, scene, channel_pass, framebuffer, outputs):
             window = tile.camera.window
             context.report.merge(tile.report, context.tasks.threads)
             work.tile_finished(tile)
@@ -162,18 +166,22 @@ def _tiles(
     scene: PreparedScene,
     channel_pass: ChannelPass,
     framebuffer: Framebuffer,
+    outputs: Outputs,
 ) -> Iterator[Tile]:
     """The tiles of a pass, each rendered on one thread and added to the framebuffer. Raises Cancelled."""
 
     camera, shown = scene.camera, scene.shown
+    told = outputs.of_pass(context, scene, channel_pass) if outputs.wanted else None
 
     def shade(window: Window) -> Tile:
         tile = Tile.of(camera, window, shown)
         groups = scene.groups_in(window)
         samples = march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
         if samples is not None:
-            add_scattered_light(context, sources, tile, samples)
+            estimates = add_scattered_light(context, sources, tile, samples, outputs.moments)
             framebuffer.add(camera.window, tile.framebuffer, tile.camera.window)
+            if told is not None:
+                told.add(tile, samples, estimates)
         return tile
 
     # Those that show most first, so that no thread waits long for the last one.

@@ -10,7 +10,7 @@ from ..mrpnn_addon.runtime import shutdown
 from ..mrpnn_addon.scene import changes
 from ..mrpnn_addon.settings import properties, view_layer
 from ..mrpnn_addon.status import calibration, file_watch
-from . import bake, check, command, compare, composite, documentation, render
+from . import bake, check, command, compare, composite, documentation, relight, render
 
 # Registered in this order and removed in the opposite one: settings first, the command line last. `shutdown` ends all
 # threads before anything is removed that they might use.
@@ -26,7 +26,15 @@ MODULES = (
     calibration,
     shutdown,
 )
-CLASSES = (*render.classes, *check.classes, *compare.classes, *composite.classes, *bake.classes, *documentation.classes)
+CLASSES = (
+    *render.classes,
+    *check.classes,
+    *compare.classes,
+    *composite.classes,
+    *bake.classes,
+    *documentation.classes,
+    *relight.classes,
+)
 
 
 def register() -> None:

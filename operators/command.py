@@ -61,6 +61,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LIST",
         help="1-10,15 or 1..10, or every third as 1-10:3; the file's current frame without it",
     )
+    render.add_argument(
+        "--deep", action="store_true", help="write deep samples, too, as FILE_deep.exr; the scene's Deep EXR without it"
+    )
     render.add_argument("--skip-existing", action="store_true", help="skip frames whose file exists")
 
     bake = actions.add_parser("bake", help="bake predicted scattering into light for Cycles and EEVEE")

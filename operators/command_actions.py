@@ -17,8 +17,8 @@ from ..mrpnn_addon.baking.baked_scene import show_light, show_sequence
 from ..mrpnn_addon.baking.light_folder import light_folder
 from ..mrpnn_addon.baking.light_sequence import LightSequence
 from ..mrpnn_addon.comparison.run import ComparisonRun, Options
-from ..mrpnn_addon.engine.render_job import render_scene
-from ..mrpnn_addon.objects.views import view_path, view_paths
+from ..mrpnn_addon.engine.render_job import deep_path, render_scene, write_deep_files
+from ..mrpnn_addon.objects.views import view_path, view_paths, wanted_views
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.runtime.atomic_write import make_folder
@@ -43,10 +43,15 @@ def render(options: argparse.Namespace, console: Console, found: dict) -> None:
 
         def work(frame: int) -> dict:
             path = paths[frame]
-            if options.skip_existing and all(map(os.path.exists, view_paths(path, scene.render))):
+            wanted = view_paths(path, scene.render)
+            if options.deep or scene_settings(scene).use_deep:
+                suffixes = [view.file_suffix for view in wanted_views(scene.render)] or [""]
+                wanted += [view_path(deep_path(path), suffix) for suffix in suffixes]
+            if options.skip_existing and all(map(os.path.exists, wanted)):
                 console.event("skipped", f"frame {frame}: {path} is there already", frame=frame, file=path)
                 return {"frame": frame, "file": path, "skipped": True}
-            return _render_frame(frame, path, settings, console, frame_reader(options, frames))
+            reads = replace(settings, outputs=frozenset({"deep"})) if options.deep else settings
+            return _render_frame(frame, path, reads, console, frame_reader(options, frames))
 
         failed = each_frame(frames, work, console, found, options.strict)
     require_none(failed, frames)
@@ -71,6 +76,7 @@ def _render_frame(
                 save_view_transformed(image, finished.files[-1], scene)
             finally:
                 bpy.data.images.remove(image)
+        finished.files += write_deep_files(path, finished.layers)
     for warning in finished.warnings:
         console.event("warning", warning, frame=frame, message=warning)
     facts = {

@@ -7,6 +7,7 @@ import bpy
 
 from ..mrpnn_addon.output.composite import composite_state, out_of_date, volume_scene
 from ..operators.composite import MRPNN_OT_composite, MRPNN_OT_composite_remove, MRPNN_OT_show_scene
+from ..operators.relight import MRPNN_OT_relight
 from .text import draw_text
 
 
@@ -55,6 +56,7 @@ def _draw_composited(context: "bpy.types.Context", layout: "bpy.types.UILayout",
             "CHECKMARK",
         )
     layout.prop(composite, "shadows")
+    layout.operator(MRPNN_OT_relight.bl_idname, icon="NODE_COMPOSITING")
     if volumes is not None:
         _show(layout, volumes)
 

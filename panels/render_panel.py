@@ -224,6 +224,7 @@ class MRPNN_PT_exr(_RenderPanel, bpy.types.Panel):
         column = _split(self.layout)
         column.active = scene_settings(context.scene).use_exr
         column.prop(scene_settings(context.scene), "exr_path", text="File")
+        _split(self.layout).prop(scene_settings(context.scene), "use_deep")
 
 
 class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):

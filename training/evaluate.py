@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from scipy.ndimage import distance_transform_edt
 
-from inference.evaluation.error import error_text
+from evaluation.error import error_text
 from training.data.targets import SUNS
 from training.networks import NETWORKS
 from training.procedural.volumes import make_volume

@@ -20,11 +20,11 @@ import os
 import onnx
 import torch
 
-from inference.paper.rpnn_lattice import make_sun_lattice
 from training.data.stencil import load_stencil
 from training.files import complete_file
 from training.networks import NETWORKS
 from training.onnx_graph import Graph
+from training.rpnn.rpnn_lattice import make_sun_lattice
 from training.train import start_from
 
 

@@ -17,6 +17,7 @@ import onnxruntime
 from inference.models.weights_file import WEIGHTS
 from inference.network.provider import _session
 from inference.onnx.session import Session
+from training import rpnn
 
 from ..support.provenance import made_by
 
@@ -48,7 +49,7 @@ def main(options: list[str] | None = None) -> None:
     for megabytes in (4, 8, 16, 30):
         np.ones((megabytes, 1 << 18), np.float32)
     print("| network | milliseconds with onnxruntime | built-in | ratio | difference |\n|---|---|---|---|---|")
-    for path in sorted(WEIGHTS.rglob("*.onnx")):
+    for path in [*sorted(WEIGHTS.rglob("*.onnx")), *rpnn.WEIGHTS.glob("*.onnx")]:
         content = path.read_bytes()
         theirs, ours = _session(onnxruntime, content, "CPU"), Session(content)
         given, names = inputs(theirs, arguments.points), [output.name for output in theirs.get_outputs()]
@@ -58,9 +59,9 @@ def main(options: list[str] | None = None) -> None:
             [seconds(lambda one=one: one.run(names, given)) for one in (theirs, ours)] for _ in range(arguments.rounds)
         ]
         least = np.min(rounds, axis=0)
+        name = path.stem if path.parent in (WEIGHTS, rpnn.WEIGHTS) else f"{path.parent.name}/{path.stem}"
         print(
-            f"| {path.relative_to(WEIGHTS).with_suffix('')} | {1e3 * least[0]:.1f} | {1e3 * least[1]:.1f} "
-            f"| {least[1] / least[0]:.2f} | {difference:.0e} |"
+            f"| {name} | {1e3 * least[0]:.1f} | {1e3 * least[1]:.1f} | {least[1] / least[0]:.2f} | {difference:.0e} |"
         )
     print(f"\n{made_by(PROGRAM, options)}")
 

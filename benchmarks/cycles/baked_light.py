@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import Settings, render
-from inference.evaluation.error import relative_bias, relative_rmse
 from inference.scene.optimizations import ALL
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views, look_at

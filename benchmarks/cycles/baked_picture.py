@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import Settings, render
-from inference.evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA
 from ..support.extension import ROOT, extension

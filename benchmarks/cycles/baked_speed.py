@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.evaluation.error import relative_bias, relative_rmse
+from evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views
 from ..support.provenance import made_by

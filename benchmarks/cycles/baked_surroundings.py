@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.evaluation.error import relative_bias, relative_rmse
+from evaluation.error import relative_bias, relative_rmse
 
 from ..support.provenance import made_by
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from inference.evaluation.error import relative_bias, relative_rmse
+from evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views
 from ..support.provenance import made_by

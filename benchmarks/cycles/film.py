@@ -21,7 +21,7 @@ import bpy
 import numpy as np
 from PIL import Image
 
-from inference.evaluation.error import error_text
+from evaluation.error import error_text
 
 from ..demo import scene as demo_scene
 from ..support import pictures

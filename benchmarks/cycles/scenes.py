@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from inference.evaluation.error import error_text
+from evaluation.error import error_text
 
 from ..demo import scene as demo_scene
 from ..support import pictures
@@ -88,7 +88,7 @@ def write_cloud(path: Path) -> None:
 def measured(name, stage, options) -> dict:
     """Errors of the whole layer, of single scattering alone and of alpha, against Cycles."""
     from mrpnn import inference
-    from mrpnn.inference.evaluation.error import relative_bias, relative_rmse
+    from mrpnn.evaluation.error import relative_bias, relative_rmse
     from mrpnn.mrpnn_addon.cycles.reference import PathTracing, render_reference, volumes_and_lights
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 

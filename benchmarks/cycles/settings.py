@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import RenderCache, Settings, render
-from inference.evaluation.error import relative_bias, relative_rmse
 
 from ..fidelity.views import MASK_ALPHA, View, independent_views
 from ..support.pages import TABLES, csv_made_by, csv_text, read_csv

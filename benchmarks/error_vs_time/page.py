@@ -3,8 +3,8 @@
 
 import math
 
-from inference.evaluation.error import Estimate, error_text
-from inference.evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
+from evaluation.error import Estimate, error_text
+from evaluation.error_vs_time import PathTracing, Rung, seconds_on_ladder
 
 from ..fidelity.tables import table
 from .cases import ENLARGED, EXTRAS

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evaluation.error import RESAMPLES, Estimate, error_text, relative_bias, tile_sums
+from evaluation.error_vs_time import AT_LEAST, AT_MOST, Rung, cost, seconds_on_ladder
 from inference import Settings
-from inference.evaluation.error import RESAMPLES, Estimate, error_text, relative_bias, tile_sums
-from inference.evaluation.error_vs_time import AT_LEAST, AT_MOST, Rung, cost, seconds_on_ladder
 from mrpnn_addon.comparison.perceptual import flip
 
 from ..fidelity.tables import table

@@ -18,6 +18,7 @@ import pathlib
 import shutil
 import sys
 
+import training.rpnn  # noqa: F401  Lets --models name it.
 from inference import available_models
 from inference.network.network import register_system
 from training.reference import PATHS, PathTracer

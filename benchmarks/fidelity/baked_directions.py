@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import Camera, Environment, LitVolume, PointLight, Settings, Sun, bake, render
-from inference.evaluation.error import relative_bias, relative_rmse
 from inference.grids.grid import Grid
 from inference.plan.directional_lights import directional_lights
 from inference.plan.lights import DIRECTIONS

@@ -23,8 +23,8 @@ import numpy as np
 from matplotlib import pyplot
 from scipy import stats
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import Settings
-from inference.evaluation.error import relative_bias, relative_rmse
 from inference.image import predicted_error
 from inference.image.predicted_error import SHOWN_ALPHA
 

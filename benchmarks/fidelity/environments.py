@@ -4,7 +4,7 @@
     python -m benchmarks.fidelity.environments [--seeds 1000200 1600200 1500200] [--predicted] [--directions]
 
 Renders held-back procedural volumes in six environments, each of mean radiance 1, and compares them with paths traced
-through the same density (`training.tracer.exits`): the relative RMSE and bias of `inference.evaluation.error`, over the
+through the same density (`training.tracer.exits`): the relative RMSE and bias of `evaluation.error`, over the
 pixels that show the volume. One trace serves all environments and albedos. Prints a row per picture as JSON, and means.
 """
 

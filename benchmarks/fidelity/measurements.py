@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from evaluation.error import paper_metric, relative_bias, relative_rmse
 from inference import Settings
-from inference.evaluation.error import paper_metric, relative_bias, relative_rmse
 from inference.network.network import load_network
 from inference.scene.optimizations import ALL
 

@@ -15,13 +15,13 @@ import warnings
 from ..support.extension import ROOT
 from ..support.pages import csv_made_by
 from ..support.provenance import made_by
-from . import densities, files, laws, lights, placements, refusals, stages
+from . import densities, files, laws, layers, lights, placements, refusals, stages
 from .case import Outcome, violations
 from .table import read_csv, write_csv, write_pictures
 
 PROGRAM = "benchmarks.stability"
 DOCS = ROOT / "docs"
-CASES = [case for part in (densities, files, placements, lights, stages, laws, refusals) for case in part.CASES]
+CASES = [case for part in (densities, files, placements, lights, stages, laws, layers, refusals) for case in part.CASES]
 
 
 def measure(case) -> Outcome:

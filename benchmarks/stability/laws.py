@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import Medium, Settings, Sun, predict_multiple, render
-from inference.evaluation.error import relative_bias, relative_rmse
 from inference.network.network import register_system
 from inference.network.predictor import MAX_FLUENCE
 from inference.scene.phase_function import henyey_greenstein

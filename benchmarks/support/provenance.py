@@ -30,9 +30,11 @@ def made_by(program: str, arguments: Sequence | None = None, models: Sequence[st
 def weights_checksum(model: str) -> str:
     """First digits of the sha256 of a network's weights; "" where it has none."""
     from inference.models import weights_file
+    from training.rpnn import WEIGHTS
 
-    path = weights_file.WEIGHTS / f"{model}.onnx"
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS] if path.is_file() else ""
+    paths = [folder / f"{model}.onnx" for folder in (weights_file.WEIGHTS, WEIGHTS)]
+    found = [hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS] for path in paths if path.is_file()]
+    return found[0] if found else ""
 
 
 def commit() -> str:

@@ -26,6 +26,8 @@ from .lamp_pass import LampMeans, means_around_lamps
 STEPS_PER_TASK = 1_000_000
 # Steps of one ray above which a task would need too much memory.
 MAX_STEPS = 1 << 18
+# Opacity below this is none beside a holdout.
+HELD = 1e-5
 # Estimates of the work ahead march one pixel in PILOT x PILOT.
 PILOT = 12
 
@@ -41,7 +43,7 @@ def lookup_offsets(columns: np.ndarray, rows: np.ndarray, seed: int) -> np.ndarr
 
 
 @dataclass(frozen=True)
-class _TileRays:
+class TileRays:
     """Camera rays that are marched: R of them.
 
     batch: RayBatch. pixel: int (R,), of the tile, ascending. offsets: (R,) in [0, 1), jitter of lookups. share: (R,),
@@ -69,7 +71,7 @@ def march_tile(
 
 def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> DepthSamples | None:
     report = tile.report
-    rays = _tile_rays(context, scene, channel_pass, tile)
+    rays = tile_rays(context, scene, channel_pass, tile)
     if rays is None:
         return None
     counts = channel_pass.step_counts(rays.batch)
@@ -81,7 +83,7 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
             "through another; render volumes of such different sizes in view layers of their own"
         )
     size = _rays_per_task(context, scene, counts)
-    shade, parts, features, of_lamps = _Shading(scene, channel_pass, tile.camera), [], [], []
+    shade, parts, features, of_lamps = Shading(scene, channel_pass, tile.camera), [], [], []
     scattering = []
     means = _means_around_lamps(scene, channel_pass, tile, rays) if scene.lamps else []
     for start in range(0, len(rays.pixel), size):
@@ -92,11 +94,13 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         single = shade.single(segment, batch, rays.pixel[span], rays.free[span])
         report.count("steps evaluated", segment.steps_evaluated)
         report.count("rays that meet density", np.count_nonzero(segment.alpha))
-        _add(tile.framebuffer, scene, channel_pass, _MarchedRays(rays.pixel[span], rays.share[span], segment, single))
+        add_marched(
+            tile.framebuffer, scene, channel_pass, MarchedRays(rays.pixel[span], rays.share[span], segment, single)
+        )
         if segment.lamps is not None:
             for mean in means:
                 mean.replace(segment.lamps.single, start)
-            _add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[span], rays.share[span], segment.lamps.single)
+            add_lamps(tile.framebuffer, scene, channel_pass, rays.pixel[span], rays.share[span], segment.lamps.single)
             if segment.lamps.features is not None:
                 of_lamps.append(segment.lamps.features.values)
         ray = (start + segment.sample_ray).astype(np.int32)
@@ -124,7 +128,20 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         groups=None if channel_pass.whole is None else channel_pass.groups,
     )
     report.count("points", len(samples.ray))
+    _hold_out(tile.framebuffer, channel_pass, samples)
     return samples
+
+
+def _hold_out(framebuffer: Framebuffer, channel_pass: ChannelPass, samples: DepthSamples) -> None:
+    """Take the opacity of holdouts from the tile."""
+    held = channel_pass.holdouts
+    if held.any() and len(samples.ray):
+        taken = samples.weight * samples.fraction[:, held].sum(axis=1) * len(channel_pass.channels.indices) / 3.0
+        add_at(framebuffer.alpha, samples.pixel[samples.ray], -taken)
+        add_at(framebuffer.depth, samples.pixel[samples.ray], -taken * samples.distance)
+        for image in (framebuffer.alpha, framebuffer.depth):
+            # Rounding leaves a little where all of it is taken.
+            image[image < HELD] = 0.0
 
 
 def estimate_march(
@@ -164,10 +181,10 @@ def _rays_per_task(context: RenderContext, scene: PreparedScene, counts: np.ndar
 
 
 @dataclass(frozen=True)
-class _MarchedRays:
+class MarchedRays:
     """What a batch of R rays gathered.
 
-    pixel, share: (R,), as in _TileRays. single: (R, V, L, S), as in RaySegment, with the phase function.
+    pixel, share: (R,), as in TileRays. single: (R, V, L, S), as in RaySegment, with the phase function.
     """
 
     pixel: np.ndarray
@@ -176,7 +193,9 @@ class _MarchedRays:
     single: np.ndarray
 
 
-def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: _MarchedRays) -> None:
+def add_marched(
+    framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPass, marched: MarchedRays
+) -> None:
     """Add what a batch of rays gathered to the tile."""
     pixel, weight, segment, emission = marched.pixel, marched.share, marched.segment, marched.segment.emission
     indices = channel_pass.channels.indices
@@ -198,7 +217,7 @@ def _add(framebuffer: Framebuffer, scene: PreparedScene, channel_pass: ChannelPa
     add_at(framebuffer.depth, pixel, segment.alpha * segment.depth * weight * fraction)
 
 
-def _add_lamps(
+def add_lamps(
     framebuffer: Framebuffer,
     scene: PreparedScene,
     channel_pass: ChannelPass,
@@ -208,7 +227,7 @@ def _add_lamps(
 ) -> None:
     """Add single scattering of lamps (R, V, K, S), as in LampSegment, to the tile.
 
-    pixel, share: (R,), as in _TileRays.
+    pixel, share: (R,), as in TileRays.
     """
     linked = scene.plan.linking(scene.plan.lamps)
     for c in channel_pass.channels.indices:
@@ -218,9 +237,7 @@ def _add_lamps(
         add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", of_lamps, light, share))
 
 
-def _means_around_lamps(
-    scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: _TileRays
-) -> list[LampMeans]:
+def _means_around_lamps(scene: PreparedScene, channel_pass: ChannelPass, tile: Tile, rays: TileRays) -> list[LampMeans]:
     """As `means_around_lamps`, of the rays of a tile that are all of their pixels."""
     camera, (x0, y0, x1, _) = tile.camera, tile.camera.window
     rows, columns = np.divmod(rays.pixel, x1 - x0) + np.array([[y0], [x0]])
@@ -233,7 +250,7 @@ def _means_around_lamps(
     return means_around_lamps(scene, channel_pass, camera, rays.batch, pixels, intervals)
 
 
-class _Shading:
+class Shading:
     """Phase functions of single scattering in one tile."""
 
     def __init__(self, scene: PreparedScene, channel_pass: ChannelPass, camera: Camera):
@@ -262,7 +279,7 @@ class _Shading:
         return single
 
 
-def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> _TileRays | None:
+def tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> TileRays | None:
     """The camera rays that may meet a volume, or None if there are none."""
     report, pixel = tile.report, tile.shown
     report.count("camera rays", len(pixel))
@@ -287,10 +304,10 @@ def _tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Chann
     report.count("rays marched", np.count_nonzero(hit))
     if not hit.any():
         return None
-    rays = _TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
+    rays = TileRays(RayBatch(origins, directions, near, far), pixel, offsets, share, free)
     if not hit.all():
         batch = RayBatch(origins[hit], directions[hit], near[hit], far[hit])
-        rays = _TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
+        rays = TileRays(batch, pixel[hit], offsets[hit], share[hit], free[hit])
     return replace(rays, batch=channel_pass.detailed(rays.batch))
 
 

@@ -159,6 +159,11 @@ class ChannelPass:
         march = self.march.through(groups)
         return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes, whole=self)
 
+    @property
+    def holdouts(self) -> np.ndarray:
+        """bool (V,): which of the media are holdouts."""
+        return np.array([bound.medium.holdout for bound in self.media], bool)
+
     def step_counts(self, rays: RayBatch) -> np.ndarray:
         """As the function of that name, for all volumes, whichever are marched through."""
         return step_counts((self.whole or self).media, rays)
@@ -191,3 +196,7 @@ class Tile:
         pixels = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
         framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
         return cls(replace(camera, region=window), framebuffer, Report.of_thread(), pixels)
+
+    def unreported(self) -> "Tile":
+        """The same tile with a report of its own, for work on it that is not counted."""
+        return replace(self, report=Report.of_thread())

@@ -1,13 +1,41 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The result of a render."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..deep.deep_image import DeepImage
 from ..runtime.report import Report
 from ..scene.camera import Camera
 from .framebuffer import Framebuffer
+
+
+@dataclass
+class Coverage:
+    """How much of the opacity of pixels each volume has, where it has any.
+
+    pixel: int (N,), numbers of the layer's pixels, row by row, ascending. volume: int (N,), whose name is in `names`.
+    share: float32 (N,), of the pixel; together they are its alpha.
+    """
+
+    pixel: np.ndarray
+    volume: np.ndarray
+    share: np.ndarray
+    names: Sequence[str] = ()
+
+    @classmethod
+    def joined(cls, parts: Sequence["Coverage"], names: Sequence[str]) -> "Coverage":
+        """What parts tell together, which may be of the same pixels and volumes; names: of the volumes of all."""
+        pixel, volume, share = (
+            np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in parts)])
+            for name, kind in (("pixel", np.int64), ("volume", np.int64), ("share", np.float32))
+        )
+        count = int(volume.max(initial=0)) + 1
+        flat, of = np.unique(pixel * count + volume, return_inverse=True)
+        share = np.bincount(of.reshape(-1), share, len(flat)).astype(np.float32)
+        return cls(flat // count, flat % count, share, names)
 
 
 @dataclass
@@ -26,6 +54,11 @@ class Layer:
     report: what was planned, skipped and measured; None for a tile.
     sampling_error: float32 (H, W), the part of the uncertainty due to depth sampling and interpolation, which more
         depth samples lower; None where it is not kept.
+    deep, coverage, median, shadow: on request (`Settings.outputs`), else None. deep: samples that are the layer when
+        they are flattened. median: float32 (H, W), distance along the ray at which half of the opacity is in front;
+        infinity where alpha is 0. shadow: float32 (H, W, 3), share of the light of suns and lamps that volumes let
+        through to the surface of the pixel; 1 without one.
+    passes: float32 (H, W) or (H, W, channels), more of them by name, which whoever asked for the layer has added.
     """
 
     rgb: np.ndarray
@@ -38,6 +71,11 @@ class Layer:
     report: Report | None = None
     sampling_error: np.ndarray | None = None
     groups: dict[str, np.ndarray] = field(default_factory=dict)
+    deep: DeepImage | None = None
+    coverage: Coverage | None = None
+    median: np.ndarray | None = None
+    shadow: np.ndarray | None = None
+    passes: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def compose_layer(
@@ -74,8 +112,13 @@ def compose_layer(
     )
 
 
-def empty_layer(camera: Camera) -> Layer:
-    """The layer of a camera that sees no volume."""
+def empty_layer(camera: Camera, outputs: frozenset[str] = frozenset()) -> Layer:
+    """The layer of a camera that sees no volume; outputs: as of Settings."""
     x0, y0, x1, y1 = camera.window
     framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
-    return compose_layer(framebuffer, (y1 - y0, x1 - x0), report=Report(seconds={"total": 0.0}))
+    layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), report=Report(seconds={"total": 0.0}))
+    layer.deep = DeepImage.empty((y1 - y0, x1 - x0)) if "deep" in outputs else None
+    layer.coverage = Coverage.joined([], []) if "coverage" in outputs else None
+    layer.median = layer.depth.copy() if "median" in outputs else None
+    layer.shadow = np.ones((y1 - y0, x1 - x0, 3), np.float32) if "shadow" in outputs else None
+    return layer

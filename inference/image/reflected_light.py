@@ -25,7 +25,7 @@ from ..grids.grid import Grid
 from ..marching.lamp_in_media import LampInMedia
 from ..numerics.small_matmul import product
 from ..occluders.lamp_shadow_map import LampShadowMap
-from ..occluders.seen_surfaces import HIDING, SeenSurfaces, see_surfaces
+from ..occluders.seen_surfaces import HIDING, SeenPoints, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
 from ..occluders.surface_views import SurfaceViews
 from ..plan.directional_lights import directional_lights
@@ -95,7 +95,7 @@ def surface_light(
     irradiance, open_share = _light_within(scene, seen, within, passed, cancel)
     power, lamp_power = np.zeros(3), np.zeros(3)
     form = ball.form(seen)
-    shading = _shading(surfaces, seen, scene.corners)
+    shading = shading_surfaces(surfaces, seen, scene.corners)
     plan, names = scene.plan, [surface.name for surface in surfaces]
     # Which lights light each surface, and any of the volumes.
     sunlit, lamplit = (linking(lights, names)[seen.owner] for lights in (plan.suns, plan.lamps))
@@ -104,14 +104,14 @@ def surface_light(
         c, media = channels.indices, scene.media(channels)
         for number, sun in enumerate(scene.plan.suns):
             cancel.check()
-            light = _sun_light(sun, seen) * sunlit[:, number]
-            light *= _sun_visibility(shading, sun, seen, scene.corners, cancel)
-            passing = _passed_sun(media, number, seen.points, c, inside)
+            light = sun_light(sun, seen) * sunlit[:, number]
+            light *= sun_visibility(shading, sun, seen, scene.corners, cancel)
+            passing = passed_sun(media, number, seen.points, c, inside)
             irradiance[:, c] += light[:, None] * passing * sun.irradiance[c]
             power[c] += ball.area[c] * sun.irradiance[c] * sunned[number]
         for number, lamp in enumerate(scene.lamps):
             cancel.check()
-            irradiance[:, c] += _lamp_light(lamp, media, seen, c) * lamp.lamp.power[c] * lamplit[:, number, None]
+            irradiance[:, c] += lamp_light(lamp, media, seen, c) * lamp.lamp.power[c] * lamplit[:, number, None]
             captured = lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c] * lamped[number]
             power[c] += captured
             lamp_power[c] += captured
@@ -248,7 +248,7 @@ def _leaving_share(albedo: float, depth: float) -> float:
     return max(albedo, 0.0) * free / (1.0 - max(albedo, 0.0) * (1.0 - free))
 
 
-def _sun_light(sun: Sun, seen: SeenSurfaces) -> np.ndarray:
+def sun_light(sun: Sun, seen: SeenPoints) -> np.ndarray:
     """Irradiance (P,) of surfaces by a sun of irradiance 1, without what lies in between."""
     directions, shares = (sun.direction[None], np.ones(1)) if sun.spread is None else sun.spread
     return np.maximum(seen.normals @ directions.T, 0.0) @ shares
@@ -277,9 +277,9 @@ def _sky_visibility(
     whole, left = np.full(len(seen.points), 1e-30), np.zeros(len(seen.points))
     for sun in (sun for environment in sky for sun in directional_lights(environment, DIRECTIONS)):
         cancel.check()
-        light = _sun_light(sun, seen) * sun.irradiance.mean()
+        light = sun_light(sun, seen) * sun.irradiance.mean()
         whole += light
-        left += light * _sun_visibility(shading, sun, seen, corners, cancel)
+        left += light * sun_visibility(shading, sun, seen, corners, cancel)
     return left / whole
 
 
@@ -303,7 +303,7 @@ def _passed(
     return np.exp(-total)
 
 
-def _passed_sun(
+def passed_sun(
     media: Sequence[BoundMedium], sun: int, points: np.ndarray, channels: Sequence[int], within: np.ndarray
 ) -> np.ndarray:
     """As `_passed`, between world points (N, 3) and a sun."""
@@ -316,7 +316,7 @@ def _passed_sun(
     return _passed(media, depths, channels, within)
 
 
-def _shading(surfaces: Sequence[Surface], seen: SeenSurfaces, corners: np.ndarray) -> list[Surface]:
+def shading_surfaces(surfaces: Sequence[Surface], seen: SeenPoints, corners: np.ndarray) -> list[Surface]:
     """Those of surfaces that may shade seen points, since they are not behind the planes of all of them."""
     shading, middle, size = [surface for surface in surfaces if surface.shades], corners.mean(axis=0), np.ptp(corners)
     offsets = ((seen.points - middle) * seen.normals).sum(axis=1) / size
@@ -331,10 +331,10 @@ def _shading(surfaces: Sequence[Surface], seen: SeenSurfaces, corners: np.ndarra
     return [surface for surface in shading if rises(surface)]
 
 
-def _sun_visibility(
+def sun_visibility(
     shading: Sequence[Surface],
     sun: Sun,
-    seen: SeenSurfaces,
+    seen: SeenPoints,
     corners: np.ndarray,
     cancel: CancelToken,
 ) -> np.ndarray:
@@ -357,8 +357,8 @@ def _sun_visibility(
     return visible
 
 
-def _lamp_light(
-    lamp: LampInMedia, media: Sequence[BoundMedium], seen: SeenSurfaces, channels: Sequence[int]
+def lamp_light(
+    lamp: LampInMedia, media: Sequence[BoundMedium], seen: SeenPoints, channels: Sequence[int]
 ) -> np.ndarray:
     """Irradiance (P, C) of surfaces by a lamp of power 1."""
     irradiance = np.zeros((len(seen.points), len(channels)))

@@ -19,8 +19,11 @@ from .sources import Source
 SAMPLES_PER_CHECK = 1 << 17
 
 
-def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile: Tile, samples: DepthSamples) -> None:
-    """Add the light of every source to the tile, and its uncertainty. Raises Cancelled."""
+def add_scattered_light(
+    context: RenderContext, sources: Sequence[Source], tile: Tile, samples: DepthSamples, moments: int = 1
+) -> list["TileEstimate"]:
+    """Add the light of every source to the tile, and its uncertainty; moments: as of TileEstimate. Raises Cancelled."""
+    estimates = []
     with tile.report.stage("network"):
         for source in sources:
             if not samples.meets(source.members):
@@ -29,7 +32,8 @@ def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile:
             inside = np.flatnonzero(asked.share(source.members))
             if not len(inside):
                 continue
-            estimate = TileEstimate(context, asked, tile, source)
+            estimate = TileEstimate(context, asked, tile, source, moments)
+            estimates.append(estimate)
             if source.adaptive:
                 tile.report.count("network points wanted", len(inside))
             if source.adaptive and "shared_pixels" in context.settings.optimizations:
@@ -44,6 +48,7 @@ def add_scattered_light(context: RenderContext, sources: Sequence[Source], tile:
             if source.adaptive:
                 tile.framebuffer.uncertainty += estimate.error
             tile.framebuffer.deviation += estimate.deviation()
+    return estimates
 
 
 def _single(source: Source, tile: Tile) -> np.ndarray:
@@ -57,17 +62,20 @@ def _single(source: Source, tile: Tile) -> np.ndarray:
 class TileEstimate:
     """The light of one source in a tile of P pixels; an `Estimate`.
 
-    radiance: float64 (K, P), of the source's rows; in double precision it does not depend on how points are divided
-    among calls. error: float32 (P,), its standard error, as a mean over all three channels.
+    radiance: float64 (D K, P), of the source's K rows; in double precision it does not depend on how points are divided
+    among calls. Behind the first K are higher moments of it in the volumes' opacity along the ray: means with Legendre
+    polynomials, 1 as at the end of the ray. error: float32 (P,), its standard error, as a mean over all three channels.
     """
 
-    def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: Source):
+    def __init__(self, context: RenderContext, samples: DepthSamples, tile: Tile, source: Source, moments: int = 1):
+        """moments: D, of the radiance."""
         pixels = len(tile.framebuffer.alpha)
         self.context, self.samples, self.source, self.report = context, samples, source, tile.report
         self.camera = tile.camera
         self.share = samples.share(source.members)
         self.pixel = samples.pixel[samples.ray]
-        self.radiance, self.quantities = np.zeros((len(source.rows), pixels)), source.channels
+        self.radiance, self.quantities = np.zeros((moments * len(source.rows), pixels)), source.channels
+        self._moments = samples.legendre_means(self.share, moments) if moments > 1 else np.ones((1, 1))
         self.error = np.zeros(pixels, np.float32)
         self._sparse = None if source.estimator.uncertainty is None else SparseDeviation(tile.camera)
         # Samples whose error is to be told: numbers and what was predicted, (A, N, ...).
@@ -91,6 +99,8 @@ class TileEstimate:
                 if row.quantity in told:
                     added = weight[:, number] * told[row.quantity]
                     add_at(self.radiance[number], pixel, added)
+                    for degree, mean_there in enumerate(self._moments[1:], 1):
+                        add_at(self.radiance[degree * len(source.rows) + number], pixel, added * mean_there[done])
                     mean += len(row.channels) * added
             parts[done] = mean / 3.0
             if self._sparse is not None:
@@ -129,7 +139,7 @@ class TileEstimate:
         source, network = self.source, self.source.estimator.uncertainty
         if network is None or self._sparse is None:
             relative = np.array([row.relative * len(row.channels) / 3.0 for row in source.rows])
-            return np.einsum("k,kp->p", relative, self.radiance).astype(np.float32)
+            return np.einsum("k,kp->p", relative, self.radiance[: len(relative)]).astype(np.float32)
         if self._told:
             points, predicted = (np.concatenate(parts, axis=-1) for parts in zip(*self._told))
             order = np.argsort(points)
@@ -177,7 +187,10 @@ class TileEstimate:
     def scattered(self) -> np.ndarray | None:
         """What of the light that each pixel takes it scatters, (K, P); None where that is the same in all of them."""
         source = self.source
-        return scattered_shares(self, source.members, source.albedos, source.places) if source.varies else None
+        if not source.varies:
+            return None
+        shares = scattered_shares(self, source.members, source.albedos, source.places)
+        return np.tile(shares, (len(self._moments), 1))
 
     def smooth_parts(self, mean: np.ndarray) -> list[np.ndarray]:
         """One light, or where colours differ that of each of them; mean: (K, P)."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.quadrature import legendre_nodes
+from ..numerics.quadrature import legendre_integrals, legendre_nodes
 from ..numerics.small_matmul import product
 from .ray_features import RayFeatures
 
@@ -193,6 +193,23 @@ class DepthSamples:
         alpha = np.minimum(np.add.reduceat(self.weight, self.starts), 1.0 - 1e-12)
         alpha = np.repeat(alpha, self.counts)
         return -np.log1p(-nodes * alpha), -np.log1p(-alpha)
+
+    def legendre_means(self, share: np.ndarray, count: int) -> np.ndarray:
+        """Means float64 (count, M) of Legendre polynomials over the opacity that each sample stands for.
+
+        share: (M,), of the extinction, whose opacity alone counts; along a ray it is the polynomials' argument, from -1
+        to 1.
+        """
+        weight = self.weight * share
+        ends = np.cumsum(weight)
+        before = (ends - weight)[self.starts]
+        total = np.maximum(np.add.reduceat(weight, self.starts), 1e-30) if len(weight) else weight
+        begin, end = (
+            2.0 * (place - before[self.sampled]) / total[self.sampled] - 1.0 for place in (ends - weight, ends)
+        )
+        width = np.where(end > begin, end - begin, 1.0)
+        means = (legendre_integrals(end, count) - legendre_integrals(begin, count)) / width
+        return np.where(end > begin, means, 1.0)
 
     def standard_error(self, values: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors of the sums of weighted values over rays: the rays' pixels (S,), and errors (S,).

@@ -105,6 +105,12 @@ class Marcher:
         found.volumes = volumes
         return found
 
+    def without_features(self) -> "Marcher":
+        """The same with one depth sample on a ray, of which networks read nothing."""
+        options = replace(self._options, depth_samples=1, fluence=None, most_detail=1)
+        lamps = self._lamps and replace(self._lamps, fluence=None)
+        return Marcher(self._media, options, self._indices, self._stop, lamps)
+
     def __call__(self, rays: RayBatch) -> RaySegment:
         """March rays whose intervals contain all media. Raises Cancelled."""
         return self.march_steps(rays, step_counts(self._media, rays))

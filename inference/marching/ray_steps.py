@@ -54,15 +54,19 @@ class RayBatch:
         detail = None if self.detail is None else self.detail[rays]
         return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays], detail)
 
+    def plain(self) -> "RayBatch":
+        """The same without detail."""
+        return RayBatch(self.origins, self.directions, self.near, self.far)
+
 
 def steps_per_voxel(media: Sequence[BoundMedium]) -> float:
     """Number of coarse steps per voxel."""
     return max(1.0, STEPS_PER_EDGE / max(max(medium.grid.shape) for medium in media))
 
 
-def step_counts(media: Sequence[BoundMedium], rays: RayBatch) -> np.ndarray:
-    """Number of coarse steps int (R,) per ray, for the medium that needs the most."""
+def step_counts(media: Sequence[BoundMedium], rays: RayBatch, least: int = MIN_VOXELS) -> np.ndarray:
+    """Number of coarse steps int (R,) per ray, for the medium that needs the most; least: voxels that a ray crosses."""
     # Instances that are turned alike need the same.
     turned = {medium.linear.tobytes(): medium.linear for medium in media if medium.matters}
     crossed = [lengths(product(rays.directions, linear.T)) * (rays.far - rays.near) for linear in turned.values()]
-    return np.ceil(np.maximum(np.max(crossed, axis=0), MIN_VOXELS) * steps_per_voxel(media)).astype(int)
+    return np.ceil(np.maximum(np.max(crossed, axis=0), least) * steps_per_voxel(media)).astype(int)

@@ -9,11 +9,15 @@ from ..scene.errors import SceneError
 WEIGHTS = pathlib.Path(__file__).parent.parent / "weights"
 
 
-def read_weights(name: str) -> bytes:
-    """Content of a weights file that matches the checksum in NAME.sha256 beside it. Raises SceneError otherwise."""
+def read_weights(name: str, folder: pathlib.Path | None = None) -> bytes:
+    """Content of a weights file that matches the checksum in NAME.sha256 beside it. Raises SceneError otherwise.
+
+    folder: WEIGHTS where it is None.
+    """
+    folder = folder or WEIGHTS
     try:
-        content = (WEIGHTS / f"{name}.onnx").read_bytes()
-        promised = (WEIGHTS / f"{name}.sha256").read_text().split()[0]
+        content = (folder / f"{name}.onnx").read_bytes()
+        promised = (folder / f"{name}.sha256").read_text().split()[0]
     except (OSError, IndexError, UnicodeDecodeError) as error:
         raise SceneError(
             f"the weights of {name!r} or their checksum cannot be read ({error}); reinstall the extension"

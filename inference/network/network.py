@@ -40,6 +40,8 @@ class Kind:
     deviations: Mapping[str, float] = field(default_factory=dict)
 
 
+#: Systems that `training` registers.
+IN_TRAINING = ("reference", "rpnn")
 # Points per call are padded to a multiple of this, which is a multiple of the vector width of any processor.
 POINT_MULTIPLE = 16
 
@@ -156,14 +158,18 @@ def load_network(name: str, provider: str = "CPU") -> System:
     if name in _systems:
         return _systems[name]()
     available = ", ".join(available_models()) or "none"
-    if name == "reference":
+    if name in IN_TRAINING:
         raise SceneError(
-            "the path-traced reference is not part of the extension: in the project's repository import "
-            f"training.reference first; available here: {available}"
+            f"{name} is not part of the extension: in the project's repository import training.{name} first; "
+            f"available here: {available}"
         )
     if name not in available_models():
         raise SceneError(f"there is no network called {name!r}; available: {available}")
-    content = weights_file.read_weights(name)
+    return open_network(name, weights_file.read_weights(name), provider)
+
+
+def open_network(name: str, content: bytes, provider: str = "CPU") -> Network:
+    """The network in the content of a weights file; provider, errors: as for `load_network`."""
     try:
         opened = open_session(content, provider)
         session = opened.session

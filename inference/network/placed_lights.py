@@ -48,8 +48,13 @@ class PlacedSun:
         """As of PlacedLight."""
         direction = alike_vector(self.direction)
         if self.shadow_map is None and not self.sun.screen_key:
-            return direction
-        return direction, self.sun.screen_key, self.cube.key
+            return direction, self.coarse
+        return direction, self.coarse, self.sun.screen_key, self.cube.key
+
+    @property
+    def coarse(self) -> bool:
+        """As of PredictedLight."""
+        return self.sun.share
 
     @cached_property
     def direction(self) -> np.ndarray:
@@ -96,7 +101,7 @@ class PlacedLamp:
     cube: Cube
     radius: float
     albedos: Sequence[float] = ()
-    any_thickness, shadow_map = False, None
+    any_thickness, coarse, shadow_map = False, False, None
 
     @property
     def near(self) -> "PlacedLamp":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gauss-Legendre quadrature."""
+"""Gauss-Legendre quadrature, and integrals of Legendre polynomials."""
 
 import functools
 
@@ -31,3 +31,13 @@ def legendre_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
     weights = 2.0 / ((1.0 - x * x) * slope**2)
     weights = 0.5 * (weights + weights[::-1])
     return x, weights * (2.0 / weights.sum())
+
+
+def legendre_integrals(x: np.ndarray, count: int) -> np.ndarray:
+    """Integrals float64 (count, N) of the first Legendre polynomials P_d from -1 to x (N,).
+
+    They are (P_{d+1} - P_{d-1}) / (2 d + 1), and x + 1 for d = 0.
+    """
+    values = np.polynomial.legendre.legvander(x, count).T
+    degrees = 2.0 * np.arange(1, count)[:, None] + 1.0
+    return np.concatenate([(x + 1.0)[None], (values[2:] - values[:-2]) / degrees])

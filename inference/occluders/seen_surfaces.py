@@ -24,20 +24,28 @@ HIDING = 512
 ALIKE, LINEAR, MAX_TRIANGLES = 0.025, 0.05, 10_000
 
 
-@dataclass(frozen=True)
-class SeenSurfaces:
+@dataclass(frozen=True, kw_only=True)
+class SeenPoints:
+    """P points of surfaces.
+
+    points, normals: (P, 3), in the world; normals on the side that is seen. owner: int (P,), number of the surface.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    owner: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenSurfaces(SeenPoints):
     """The surfaces that are seen around a point, in P directions.
 
-    pixel: int (P,), of an environment's image of ROWS rows. points, normals: (P, 3), in the world; normals on the side
-    that is seen. reflectance, emission: (P, 3), as in Surface. owner: int (P,), number of the surface.
+    pixel: int (P,), of an environment's image of ROWS rows. reflectance, emission: (P, 3), as in Surface.
     """
 
     pixel: np.ndarray
-    points: np.ndarray
-    normals: np.ndarray
     reflectance: np.ndarray
     emission: np.ndarray
-    owner: np.ndarray
 
     @property
     def solid_angles(self) -> np.ndarray:
@@ -65,7 +73,14 @@ def see_surfaces(surfaces: Sequence[Surface], eye: np.ndarray, cancel: CancelTok
     owner = owner[number]
     reflectance = np.stack([surface.reflectance for surface in surfaces])[owner]
     emission = np.stack([surface.emission for surface in surfaces])[owner]
-    return SeenSurfaces(pixel, eye + distance[:, None] * towards, normal, reflectance, emission, owner)
+    return SeenSurfaces(
+        pixel=pixel,
+        points=eye + distance[:, None] * towards,
+        normals=normal,
+        reflectance=reflectance,
+        emission=emission,
+        owner=owner,
+    )
 
 
 def _nearest_triangles(

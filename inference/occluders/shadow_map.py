@@ -88,16 +88,25 @@ class ShadowMap:
         cells: along an edge of the cube. margin: further cells beyond each face. parts: sample points along an edge of
         a cell. Returns float32 (n, n, n), n = cells + 2 margin.
         """
-        count = cells + 2 * margin
-        position = (np.arange(count * parts) + 0.5) / (cells * parts) - margin / cells - 0.5
-        x, y, z = ((self.linear[:, axis, None] * position).astype(np.float32) for axis in range(3))
-        z += self.offset[:, None].astype(np.float32)
-        visibility = np.empty((count,) * 3, np.float32)
-        for i in range(count):
-            slab = x[:, i * parts : (i + 1) * parts, None, None] + (y[:, :, None] + z[:, None])[:, None]
-            samples = self.visibility(slab.reshape(3, -1)).reshape(parts, count, parts, count, parts)
-            visibility[i] = samples.mean(axis=(0, 2, 4))
-        return visibility
+        count, half = cells + 2 * margin, 0.5 / cells * np.abs(self.linear).sum(axis=1)
+        middle = (np.arange(count) + 0.5) / cells - margin / cells - 0.5
+        inside = ((np.arange(parts) + 0.5) / parts - 0.5) / cells
+        samples = self.linear @ np.stack(np.meshgrid(inside, inside, inside)).reshape(3, -1)
+        x, y, z = (self.linear[:, axis, None] * middle for axis in range(3))
+        slab = (y[:, :, None] + z[:, None]).reshape(3, -1) + self.offset[:, None]
+        # Samples of a cell within the reach of a tile and those around it see heights between the extremes of these.
+        size = int(np.ceil(half[:2].max())) + 1
+        extremes = [_around_tiles(self.heights, size, extreme) for extreme in (np.maximum, np.minimum)]
+        visibility = np.empty((count, count * count), np.float32)
+        for lit, along in zip(visibility, x.T):
+            index = (slab + along[:, None]).astype(np.float32)
+            column, row = (np.clip(at / size, 0, n - 1).astype(int) for at, n in zip(index, extremes[0].shape[::-1]))
+            most, least = (extreme[row, column] for extreme in extremes)
+            lit[:] = index[2] - half[2] >= most
+            some = np.flatnonzero((lit == 0.0) & (index[2] + half[2] >= least))
+            at = index[:, some, None] + samples[:, None].astype(np.float32)
+            lit[some] = self.visibility(at.reshape(3, -1)).reshape(len(some), parts**3).mean(axis=1)
+        return visibility.reshape(count, count, count)
 
     def visibility(self, index: np.ndarray) -> np.ndarray:
         """Visibility of the sun (N,) from 0 to 1 at indices float32 (3, N), by percentage-closer filtering.
@@ -116,3 +125,12 @@ class ShadowMap:
                 j = np.clip(j, 0, rows - 1).astype(np.int32)
                 visibility += x * y * (height >= heights.take(j * columns + i))
         return visibility
+
+
+def _around_tiles(heights: np.ndarray, size: int, extreme: np.ufunc) -> np.ndarray:
+    """Largest or smallest of heights (rows, columns) in each tile of size x size cells and the eight around it."""
+    for axis in (0, 1):
+        heights = extreme.reduceat(heights, np.arange(0, heights.shape[axis], size), axis=axis)
+        padded = np.moveaxis(np.pad(heights, [(int(a == axis),) * 2 for a in (0, 1)], mode="edge"), axis, 0)
+        heights = np.moveaxis(extreme(extreme(padded[:-2], padded[1:-1]), padded[2:]), 0, axis)
+    return heights

@@ -67,6 +67,13 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     return origins, directions, cosine
 
 
+def viewing_cosine(camera: Camera, directions: np.ndarray) -> np.ndarray:
+    """Cosines (N,) between unit directions (N, 3) and the viewing axis; 1 for equirectangular cameras."""
+    if camera.projection == "equirectangular":
+        return np.ones(len(directions))
+    return directions @ (-camera.world_matrix[:3, 2] / np.linalg.norm(camera.world_matrix[:3, 2]))
+
+
 def _spherical(eye: SphericalEye, local: np.ndarray, latitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions of rays and where they start, (N, 3) each, of an eye that looks along `local` at `latitude`."""
     offset = np.full_like(latitude, eye.offset)

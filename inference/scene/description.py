@@ -162,6 +162,8 @@ class Medium:
     emission: factor of the volume's emission, >= 0.
     phase: phase function of single scattering, None for Henyey-Greenstein. Multiple scattering depends on the mean
         cosine alone.
+    holdout: whether what it takes of light counts as none of the layer's opacity, so that it leaves a hole. Its albedo
+        and its emission are to be 0.
 
     Raises SceneError outside these ranges.
     """
@@ -171,6 +173,7 @@ class Medium:
     anisotropy: float = 0.0
     emission: float = 1.0
     phase: PhaseFunction | None = None
+    holdout: bool = False
 
     def __post_init__(self) -> None:
         self.sigma_t = rgb_triple(self.sigma_t, "extinction")
@@ -252,6 +255,7 @@ class Sun(Light):
         weights (K,) that sum to 1. The phase function is averaged over it; shadows are those of `direction`.
     part_of: the soft sun of which this is a part, or None. Multiple scattering is predicted once for all parts.
     receivers: names of the volumes and surfaces that it lights; None for all.
+    share: whether it is one of many suns that stand for an environment; their transport may be coarser.
 
     Raises SceneError for a zero direction and for irradiance out of range.
     """
@@ -262,6 +266,7 @@ class Sun(Light):
     spread: tuple[np.ndarray, np.ndarray] | None = None
     part_of: "Sun | None" = None
     receivers: frozenset[str] | None = None
+    share: bool = False
 
     def __post_init__(self) -> None:
         direction = np.asarray(self.direction, dtype=np.float64)

@@ -12,6 +12,9 @@ DETAIL = 1, 3, 5, 9
 # Depth samples of a ray above which no detail is added.
 ENOUGH = 96
 
+#: Names of what a layer holds on request.
+OUTPUTS = frozenset({"deep", "coverage", "median", "shadow"})
+
 
 @dataclass
 class Settings:
@@ -28,6 +31,7 @@ class Settings:
         followed.
     directional: whether baked light is right from other directions than the camera's too.
     most_voxels: along the longest edge of a baked lattice, whose voxels are joined beyond; 0 for as many as there are.
+    outputs: what the layer holds besides its colours, of OUTPUTS.
     optimizations: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
@@ -44,6 +48,7 @@ class Settings:
     directional: bool = True
     most_voxels: int = 0
     optimizations: frozenset[str] = ALL
+    outputs: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -59,6 +64,10 @@ class Settings:
         unknown = sorted(self.optimizations - ALL)
         if unknown:
             raise SceneError(f"there is no optimization called {unknown[0]!r}; there are: {', '.join(sorted(ALL))}")
+        if not self.outputs <= OUTPUTS:
+            raise SceneError(
+                f"outputs must be among {', '.join(sorted(OUTPUTS))}, not {', '.join(sorted(self.outputs))}"
+            )
         if not self.memory_limit > 0:
             raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")
 

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from ...inference.evaluation.error_vs_time import Rung
+from ...evaluation.error_vs_time import Rung
 from ...inference.network.baselines import OCTAVES, SINGLE
 from ..cycles.choices import CHOICES, CYCLES, DENOISED, LADDERS, NULL, NULL_DENOISED
 

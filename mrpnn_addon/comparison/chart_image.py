@@ -11,7 +11,7 @@ import bpy
 import imbuf
 import numpy as np
 
-from ...inference.evaluation.error_vs_time import Rung
+from ...evaluation.error_vs_time import Rung
 from ..cycles.reference import read_image
 from ..output.layer_image import IMAGE_NAME, show_image
 from .chart import FRAME, HEIGHT, LEGEND, USUAL_SERIES, WIDTH, Chart, make_chart, ticks

@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 from string import Template
 
-from ...inference.evaluation.error import error_text
-from ...inference.evaluation.error_vs_time import Rung
+from ...evaluation.error import error_text
+from ...evaluation.error_vs_time import Rung
 from ..cycles.choices import CHOICES
 from .chart import make_chart, svg
 from .results import Comparison

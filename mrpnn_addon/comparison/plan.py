@@ -4,7 +4,7 @@
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
-from ...inference.evaluation.error_vs_time import cost
+from ...evaluation.error_vs_time import cost
 from ..cycles.choices import CHOICES, CYCLES, DENOISED, LADDERS, REFERENCE, USUAL
 from ..cycles.pass_store import Job, Pass
 

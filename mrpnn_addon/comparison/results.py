@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...inference.evaluation.error import Estimate, paper_metric, relative_bias, relative_rmse
-from ...inference.evaluation.error_vs_time import (
+from ...evaluation.error import Estimate, paper_metric, relative_bias, relative_rmse
+from ...evaluation.error_vs_time import (
     PathTracing,
     Reached,
     Rung,

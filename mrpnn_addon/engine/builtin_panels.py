@@ -11,6 +11,7 @@ SHARED = (
     "EEVEE_MATERIAL_PT_context_material",
     "VIEWLAYER_PT_layer_passes",
     "VIEWLAYER_PT_layer_passes_lightgroups",
+    "VIEWLAYER_PT_layer_passes_cryptomatte",
     "VIEWLAYER_PT_filter",
 )
 # Panels that list every engine but are of no use to this one: it has its own panel for lights, and does not render

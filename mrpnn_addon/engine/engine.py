@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """MRPNN as a render engine: F12 writes the layer to the render result."""
 
+import os
 import threading
 import time
 import traceback
@@ -10,16 +11,20 @@ from typing import Any
 import bpy
 import gpu
 
-from ...inference.image.layer import empty_layer
+from ...inference.image.layer import Layer, empty_layer
 from ...inference.scene import Camera, Cancelled, SceneError
 from ..nodes.material import shows_volume
 from ..objects.camera import film_exposure, read_views
+from ..objects.views import View
 from ..objects.visibility import visible_objects
-from ..output.passes import extra_passes
+from ..output.frames import picture_path
+from ..output.passes import RenderPass, extra_passes
+from ..runtime.atomic_write import make_folder
 from ..runtime.background import Worker
 from ..runtime.text import percent, render_status, report, utf8_names
 from ..scene.changes import keeps_volumes
 from ..scene.film import Background, read_background
+from ..scene.outputs import wanted
 from ..scene.reader import SceneDescription, read_frame
 from ..scene.unrendered import composited, unrendered
 from ..settings.properties import scene_settings
@@ -28,7 +33,7 @@ from ..volumes.loading import VolumeLoading
 from ..volumes.read_ahead import ReadAhead
 from ..volumes.reader import VolumeReader
 from . import builtin_panels, viewport
-from .render_job import render_scene, stamp
+from .render_job import render_scene, stamp, write_deep_files
 from .render_result import RenderResult
 from .viewport import Viewport, viewport_camera
 from .viewport_region import WHOLE, coarser, pixel_size, render_region
@@ -64,7 +69,8 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
     def update_render_passes(self, scene: "bpy.types.Scene", renderlayer: "bpy.types.ViewLayer") -> None:
         """Register the passes for the compositor."""
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
-        for extra in extra_passes(renderlayer):
+        # Blender's view layer knows no scene here, and its objects end the process.
+        for extra in extra_passes(scene, scene.view_layers[renderlayer.name]):
             self.register_pass(scene, renderlayer, extra.name, len(extra.channels), extra.channels, extra.kind)
 
     def render(self, depsgraph: "bpy.types.Depsgraph") -> None:
@@ -161,8 +167,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         transparent = depsgraph.scene.render.film_transparent
         settings = scene_settings(depsgraph.scene).settings()
         backgrounds = [None if transparent else self._background(depsgraph, view.camera) for view in scene.views]
+        passes = _passes(depsgraph)
         results = {
-            view.name: RenderResult(self, view_layer, view.camera, background, view.name)
+            view.name: RenderResult(self, view_layer, (view.camera, background), view.name, passes)
             for view, background in zip(scene.views, backgrounds)
         }
         # Background renders need no intermediate pictures.
@@ -179,7 +186,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         for warning in told:
             report(self, "WARNING", warning)
         for view, layer in finished.layers:
-            results[view.name].finish(layer, stamp(settings, layer.report, time.perf_counter() - started))
+            stamped = stamp(settings, layer.report, time.perf_counter() - started)
+            results[view.name].finish(layer, stamped, scene.wanted.metadata(view_layer.name, layer))
+        self._write_deep(depsgraph, finished.layers)
         finished.seconds = time.perf_counter() - cls._asked
         remember_finished(finished)
 
@@ -247,8 +256,27 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         for view in read_views(depsgraph)[0]:
             camera = view.camera
             background = None if depsgraph.scene.render.film_transparent else self._background(depsgraph, camera)
-            result = RenderResult(self, depsgraph.view_layer, camera, background, view.name)
-            result.finish(empty_layer(camera), {})
+            result = RenderResult(self, depsgraph.view_layer, (camera, background), view.name, _passes(depsgraph))
+            asked = wanted(depsgraph.scene, depsgraph.view_layer)
+            layer = empty_layer(camera, asked.outputs)
+            asked.add_to(layer, camera)
+            result.finish(layer, {})
+            self._write_deep(depsgraph, [(view, layer)])
+
+    def _write_deep(self, depsgraph: "bpy.types.Depsgraph", layers: list[tuple[View, Layer]]) -> None:
+        """Write deep samples beside the picture, if any. The picture stays where that fails."""
+        if all(layer.deep is None for _, layer in layers):
+            return
+        scene, name = depsgraph.scene, depsgraph.view_layer.name
+        # Blender renders the volumes of a composite as a still, in animations too.
+        numbered = self.is_animation or composited(scene)
+        others = sum(one.use for one in scene.view_layers) > 1 and not scene.render.use_single_layer
+        try:
+            path = picture_path(scene, numbered, name if others else "") + ".exr"
+            make_folder(os.path.dirname(path))
+            write_deep_files(path, layers, self._check)
+        except (SceneError, OSError) as error:
+            report(self, "WARNING", f"no deep samples are written: {error}")
 
 
 class _Progress:
@@ -278,6 +306,11 @@ class _Progress:
         left = f"Remaining: {seconds / fraction - seconds:.0f} s | " if seconds > 2.0 and fraction > 0.05 else ""
         # The seconds left differ at every call.
         self._engine.say(f"{self._message}, {percent(fraction)}", left)
+
+
+def _passes(depsgraph: "bpy.types.Depsgraph") -> list[RenderPass]:
+    scene = depsgraph.scene.original
+    return extra_passes(scene, scene.view_layers[depsgraph.view_layer.name])
 
 
 def _shows_volumes(depsgraph: "bpy.types.Depsgraph") -> bool:

@@ -2,6 +2,7 @@
 """One render of a scene that has been read, in the calling thread or on a worker thread."""
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from ...inference.runtime.report import Report
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..objects.views import View, view_path
 from ..objects.workload import Workload
+from ..output.deep_exr import write_deep
 from ..output.layer_exr import write_layers
 from ..output.layer_frame import in_frame
 from ..runtime.background import Worker
@@ -54,7 +56,8 @@ def render_scene(
 ) -> Finished:
     """Render all views of a scene. Calls no bpy, so any thread may call this.
 
-    exr_path: absolute path of a multi-layer EXR to write, or None; files of several views get their suffixes. parts:
+    exr_path: absolute path of a multi-layer EXR to write, or None; files of several views get their suffixes. A deep
+    one is written beside it where the scene asks for that. parts:
     for each view by name, what shows its coarse picture and its finished parts. started: `time.perf_counter()` when the
     render was asked for, before the scene was read; now by default.
 
@@ -68,6 +71,7 @@ def render_scene(
             raise Cancelled()
 
     views = scene.views or [View("", "", scene.camera)]
+    settings = replace(settings, outputs=settings.outputs | scene.wanted.outputs)
     # The views share what does not depend on them.
     cache, layers = inference.RenderCache(), []
     try:
@@ -76,8 +80,11 @@ def render_scene(
             reported = _share(progress, number, len(views)) if progress else None
             # A frame without smoke yet is valid.
             layer = (
-                _render(seen, settings, reported, cancelled, part, cache) if seen.volumes else empty_layer(seen.camera)
+                _render(seen, settings, reported, cancelled, part, cache)
+                if seen.volumes
+                else empty_layer(seen.camera, settings.outputs)
             )
+            scene.wanted.add_to(layer, seen.camera)
             layers.append((view, in_frame(layer, seen.camera, seen.crop)))
         if exr_path and progress:
             progress(1.0, "writing the file")
@@ -124,8 +131,29 @@ def _write(
         files = {view_path(path, view.suffix): [(View("", "", view.camera), layer)] for view, layer in layers}
     for file, held in files.items():
         of_views = {view.name: layer for view, layer in held}
-        write_layers(file, of_views, scene.view_layer, metadata(scene, settings, held[0][1].report), check)
-    return list(files)
+        told = metadata(scene, settings, held[0][1].report) | scene.wanted.metadata(scene.view_layer, held[0][1])
+        write_layers(file, of_views, scene.view_layer, told, check)
+    return [*files, *write_deep_files(path, layers, check)]
+
+
+def deep_path(path: str) -> str:
+    """The path of the deep file beside a picture."""
+    return f"{os.path.splitext(path)[0]}_deep.exr"
+
+
+def write_deep_files(
+    path: str, layers: list[tuple[View, Layer]], check: Callable[[], None] = lambda: None
+) -> list[str]:
+    """Write the deep samples of all views beside a picture at a path, one file each; returns the paths.
+
+    Empty where the layers have none. Raises OSError where a file cannot be written.
+    """
+    files = []
+    for view, layer in layers:
+        if layer.deep is not None:
+            files.append(view_path(deep_path(path), view.suffix))
+            write_deep(files[-1], layer.deep, {"mrpnn.model": layer.report.model}, check)
+    return files
 
 
 def _render(
@@ -138,22 +166,39 @@ def _render(
 ) -> Layer:
     # The final picture reuses what the coarse one computes; lookup lattices cover only the view.
     groups = list(scene.groups.parts(scene)) if scene.groups.names else []
-    steps, first = Steps(progress, max(len(groups), 1), parts is not None), None
+    pictures = max(len(groups) + bool(groups and "deep" in settings.outputs), 1)
+    steps, first = Steps(progress, pictures, parts is not None), None
     if parts is not None:
-        settings_of_first, camera = replace(settings, depth_samples=1), coarse_camera(scene.camera)
+        settings_of_first = replace(settings, depth_samples=1, outputs=frozenset())
+        camera = coarse_camera(scene.camera)
         first = inference.render(
             scene.volumes, scene.lights, camera, settings_of_first, steps.coarse, cancelled, cache, scene.surfaces
         )
         parts.show_coarse(first)
     if groups:
+        # The opacity is the same in all of them; deep samples are those of all light.
+        deep = settings.outputs & {"deep"}
+        outputs = [settings.outputs - deep] + [frozenset()] * (len(groups) - 1)
         layer = sum_of_groups(
             {
                 name: inference.render(
-                    volumes, lights, scene.camera, settings, steps.picture(number), cancelled, cache, surfaces
+                    volumes,
+                    lights,
+                    scene.camera,
+                    replace(settings, outputs=outputs[number]),
+                    steps.picture(number),
+                    cancelled,
+                    cache,
+                    surfaces,
                 )
                 for number, (name, volumes, lights, surfaces) in enumerate(groups)
             }
         )
+        if deep:
+            last, settings = steps.picture(len(groups)), replace(settings, outputs=deep)
+            layer.deep = inference.render(
+                scene.volumes, scene.lights, scene.camera, settings, last, cancelled, cache, scene.surfaces
+            ).deep
     else:
         for window, layer in inference.render_tiles(
             scene.volumes,

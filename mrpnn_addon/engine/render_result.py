@@ -2,7 +2,7 @@
 """The render result of one view layer: a coarse picture first, then finished parts."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import bpy
@@ -11,7 +11,7 @@ import numpy as np
 from ...inference.image.layer import Layer
 from ...inference.scene import Camera
 from ..output.layer_frame import rgba
-from ..output.passes import extra_passes
+from ..output.passes import RenderPass
 from ..runtime.text import stamp_field
 from ..scene.film import Background, over
 
@@ -22,24 +22,25 @@ SHOW_INTERVAL = 0.5
 class RenderResult:
     """Writes one view layer's layer to Blender's render result.
 
-    engine: the RenderEngine. camera: its window is rendered. background: a `film.Background`; None for a transparent
-    film. view: the name of one of several views. A render that fails before the first picture shows none.
+    engine: the RenderEngine. film: the camera whose window is rendered, and a `film.Background`, None for a transparent
+    film. view: the name of one of several views. passes: besides Combined. A render that fails before the first picture
+    shows none.
     """
 
     def __init__(
         self,
         engine: "bpy.types.RenderEngine",
         view_layer: "bpy.types.ViewLayer",
-        camera: Camera,
-        background: Background | None,
+        film: tuple[Camera, Background | None],
         view: str = "",
+        passes: Sequence[RenderPass] = (),
     ) -> None:
-        self._engine, self._view_layer, self._camera, self._background = engine, view_layer, camera, background
+        self._engine, self._view_layer, (self._camera, self._background) = engine, view_layer, film
         self._view = view
-        x0, y0, x1, y1 = camera.window
+        x0, y0, x1, y1 = self._camera.window
         self._image = np.zeros((y1 - y0, x1 - x0, 4), np.float32)
         self._result: bpy.types.RenderResult | None = None
-        self._extras, self._shown = extra_passes(view_layer), 0.0
+        self._extras, self._shown = passes, 0.0
 
     def show_coarse(self, layer: Layer) -> None:
         """Show a layer of lower resolution in the whole window."""
@@ -56,8 +57,8 @@ class RenderResult:
             self._show()
             self._shown = time.monotonic()
 
-    def finish(self, layer: Layer, stamped: Mapping[str, str]) -> None:
-        """Write the whole layer with all passes. stamped: names and values for the file's metadata."""
+    def finish(self, layer: Layer, stamped: Mapping[str, str], mattes: Mapping[str, str] = {}) -> None:
+        """Write the whole layer with all passes. stamped, mattes: names and values for the file's metadata."""
         self._put(self._camera.window, rgba(layer))
         result = self._begin()
         for extra in self._extras:
@@ -67,6 +68,8 @@ class RenderResult:
         whole = self._engine.get_result()
         for name, value in stamped.items():
             stamp_field(whole, f"mrpnn.{self._view_layer.name}.{name}", value)
+        for name, value in mattes.items():
+            stamp_field(whole, name, value)
 
     def end(self) -> None:
         """Close the result; a stopped render keeps its finished parts."""

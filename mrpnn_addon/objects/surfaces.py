@@ -14,11 +14,11 @@ from ..nodes.surface_colour import SurfaceColour, surface_colour
 from .ignored_settings import SHINING, ignored_settings
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
-from .visibility import VisibleObject
+from .visibility import VisibleObject, is_holdout
 
 #: Of a transparent mesh with a volume, after its name.
 VOLUME_INSIDE = "so is the volume inside; to render the volume, unlink its surface, or link a white Transparent BSDF"
-SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction", "ShaderNodeHoldout"}
+SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction"}
 
 
 @dataclass
@@ -75,7 +75,8 @@ def read_surface(
     shades, stops = shown.visible_to("shadow"), shown.visible_to("volume_scatter")
     if not (covers or shades or stops):
         return None, []
-    if any(_is_transparent(material) for material in materials(shown.object)):
+    holdout = is_holdout(shown, view_layer)
+    if not holdout and any(_is_transparent(material) for material in materials(shown.object)):
         if any(material and has_volume(material) for material in materials(shown.object)):
             return None, [f"{where} is transparent and left out, and {VOLUME_INSIDE}"]
         return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]

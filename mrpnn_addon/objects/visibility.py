@@ -125,11 +125,13 @@ def visibility_state(depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceVi
     )
 
 
-def hidden_from_camera(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") -> str:
-    """The reason why the camera does not see a volume of the scene; "" where it does.
+def is_holdout(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") -> bool:
+    """Whether an object, or its collection in the view layer, is a holdout."""
+    return shown.object.is_holdout or shown.host.is_holdout or shown.source.holdout_get(view_layer=view_layer)
 
-    Cycles shows volumes that are holdouts as any others.
-    """
+
+def hidden_from_camera(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") -> str:
+    """The reason why the camera does not see a volume of the scene; "" where it does."""
     if shown.source.indirect_only_get(view_layer=view_layer):
         return "is in an indirect-only collection"
     if shown.object.is_shadow_catcher or shown.host.is_shadow_catcher:

@@ -16,12 +16,19 @@ BARE = (
 )
 # Custom property with the role of each of these nodes.
 MARK = "mrpnn_composite"
-LOCATIONS = {"surfaces": (-600, 200), "volumes": (-600, -200), "over": (0, 100), "nearer": (-250, 0)}
+LOCATIONS = {
+    "relight": (-300, -200),
+    "surfaces": (-600, 200),
+    "volumes": (-600, -200),
+    "over": (0, 100),
+    "nearer": (-250, 0),
+}
 TITLES = {
     "surfaces": "Surfaces by Cycles",
     "volumes": "Volumes by MRPNN",
     "over": "Volumes over Surfaces",
     "nearer": "Volume before surface",
+    "relight": "Lights of the Volumes",
 }
 
 
@@ -31,9 +38,9 @@ def build_nodes(scene: "bpy.types.Scene", volumes: "bpy.types.Scene") -> bool:
     Returns whether the scene had no compositor before.
     """
     made = _tree(scene) is None
-    tree, result = _compositor(scene)
-    layer = _node(tree, "volumes", "CompositorNodeRLayers")
-    over = _node(tree, "over", "CompositorNodeAlphaOver")
+    tree, result = compositor(scene)
+    layer = node_of_role(tree, "volumes", "CompositorNodeRLayers")
+    over = node_of_role(tree, "over", "CompositorNodeAlphaOver")
     # Before the node is told, which then offers the depth.
     volumes.view_layers[0].use_pass_z = True
     layer.scene, layer.layer = volumes, volumes.view_layers[0].name
@@ -107,7 +114,7 @@ def _panorama(scene: "bpy.types.Scene") -> bool:
 def _compare_depths(tree: Any, surfaces: Any, volumes: Any, factor: Any) -> None:
     """Show volumes only where they are in front of surfaces."""
     surfaces.scene.view_layers[surfaces.layer].use_pass_z = True
-    nearer = _node(tree, "nearer", MATH)
+    nearer = node_of_role(tree, "nearer", MATH)
     nearer.operation = "LESS_THAN"
     tree.links.new(volumes.outputs["Depth"], nearer.inputs[0])
     tree.links.new(surfaces.outputs["Depth"], nearer.inputs[1])
@@ -115,7 +122,7 @@ def _compare_depths(tree: Any, surfaces: Any, volumes: Any, factor: Any) -> None
 
 
 def _surfaces(tree: Any, scene: "bpy.types.Scene") -> Any:
-    node = _node(tree, "surfaces", "CompositorNodeRLayers")
+    node = node_of_role(tree, "surfaces", "CompositorNodeRLayers")
     if node.scene != scene:
         node.scene = scene
     return node
@@ -129,7 +136,7 @@ def _found(tree: Any, role: str) -> Any:
     return next((node for node in tree.nodes if node.get(MARK) == role), None)
 
 
-def _node(tree: Any, role: str, kind: str) -> Any:
+def node_of_role(tree: Any, role: str, kind: str) -> Any:
     """The tree's node of this role, created as needed."""
     node = _found(tree, role)
     if node is None:
@@ -173,7 +180,7 @@ def _output(tree: Any) -> Any:
     return next((node for node in outputs if node.is_active_output), None)
 
 
-def _compositor(scene: "bpy.types.Scene") -> tuple[Any, Any]:
+def compositor(scene: "bpy.types.Scene") -> tuple[Any, Any]:
     """The scene's compositor tree, created as needed, and the input socket of its output."""
     if not FIVE:
         scene.use_nodes = True

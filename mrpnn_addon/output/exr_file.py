@@ -8,7 +8,7 @@ different version of OpenEXR, which crashes.
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -19,8 +19,9 @@ from ..runtime.text import safe_text
 MAGIC = 20000630
 VERSION = 2
 LONG_NAMES = 0x400
-FLOAT_PIXELS = 2
-ZIP_COMPRESSION = 3
+HALF_PIXELS, FLOAT_PIXELS = 1, 2
+# Of one scanline, and of sixteen.
+ZIPS_COMPRESSION, ZIP_COMPRESSION = 2, 3
 LINES_PER_BLOCK = 16
 MAX_NAME_BYTES = 255
 
@@ -40,13 +41,13 @@ def write_exr(
     """
     names = sorted(channels)
     height, width = channels[names[0]].shape
-    header = _header(names, width, height, attributes)
+    header = exr_header(dict.fromkeys(names, FLOAT_PIXELS), (width, height), attributes)
 
     def compressed(y: int) -> bytes:
         check()
         # Scanlines store one channel after another, in the order of their names: (lines, C, W).
         rows = [np.asarray(channels[name][y : y + LINES_PER_BLOCK], dtype="<f4") for name in names]
-        return _block(np.stack(rows, axis=1))
+        return packed(np.stack(rows, axis=1).tobytes())
 
     with ThreadPoolExecutor() as pool:
         blocks = list(pool.map(compressed, range(0, height, LINES_PER_BLOCK)))
@@ -67,29 +68,36 @@ def write_exr(
             file.write(block)
 
 
-def _block(rows: np.ndarray) -> bytes:
-    """Up to 16 scanlines, compressed as OpenEXR's ZIP."""
-    raw = rows.tobytes()
+def packed(raw: bytes) -> bytes:
+    """Bytes of scanlines as OpenEXR's ZIP compresses them; unchanged where that makes them no shorter."""
     data = np.frombuffer(raw, dtype=np.uint8)
     # Even bytes, then odd bytes, each as the difference from the previous one, plus 128.
     split = np.concatenate([data[0::2], data[1::2]])
     split[1:] = np.diff(split) + np.uint8(128)
-    packed = zlib.compress(split.tobytes(), 4)
-    # A block that does not shrink is stored uncompressed.
-    return packed if len(packed) < len(raw) else raw
+    shorter = zlib.compress(split.tobytes(), 4)
+    return shorter if len(shorter) < len(raw) else raw
 
 
-def _header(
-    names: Sequence[str], width: int, height: int, attributes: Mapping[str, int | float | str | list[str]]
+def exr_header(
+    pixels: Mapping[str, int],
+    size: tuple[int, int],
+    attributes: Mapping[str, int | float | str | list[str]],
+    compression: int = ZIP_COMPRESSION,
+    flags: int = VERSION,
 ) -> bytes:
-    names, attributes = [safe_text(name) for name in names], {safe_text(name): of for name, of in attributes.items()}
+    """What a file begins with. pixels: the type of each channel. size: (width, height). flags: of the version field.
+
+    Raises ValueError for names that are too long.
+    """
+    names = {safe_text(name): kind for name, kind in pixels.items()}
+    attributes = {safe_text(name): of for name, of in attributes.items()}
     longest = max(len(name.encode()) for name in [*names, *attributes])
     if longest > MAX_NAME_BYTES:
         raise ValueError(f"EXR names hold at most {MAX_NAME_BYTES} bytes, not {longest}")
-    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    window = struct.pack("<4i", 0, 0, size[0] - 1, size[1] - 1)
     entries = [
-        ("channels", "chlist", b"".join(map(_channel, names)) + b"\0"),
-        ("compression", "compression", bytes([ZIP_COMPRESSION])),
+        ("channels", "chlist", b"".join(_channel(*one) for one in names.items()) + b"\0"),
+        ("compression", "compression", bytes([compression])),
         ("dataWindow", "box2i", window),
         ("displayWindow", "box2i", window),
         ("lineOrder", "lineOrder", b"\0"),
@@ -98,17 +106,16 @@ def _header(
         ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
         *(_attribute(name, value) for name, value in attributes.items()),
     ]
-    flags = VERSION | (LONG_NAMES if longest > 31 else 0)
     body = b"".join(
         name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
         for name, kind, value in entries
     )
-    return struct.pack("<ii", MAGIC, flags) + body + b"\0"
+    return struct.pack("<ii", MAGIC, flags | (LONG_NAMES if longest > 31 else 0)) + body + b"\0"
 
 
-def _channel(name: str) -> bytes:
+def _channel(name: str, kind: int) -> bytes:
     # Pixel type, linear flag with 3 reserved bytes, sampling 1 x 1.
-    return name.encode() + b"\0" + struct.pack("<iBxxxii", FLOAT_PIXELS, 0, 1, 1)
+    return name.encode() + b"\0" + struct.pack("<iBxxxii", kind, 0, 1, 1)
 
 
 def _attribute(name: str, value: int | float | str | list[str]) -> tuple[str, str, bytes]:

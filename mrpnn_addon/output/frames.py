@@ -57,3 +57,20 @@ def frame_path(pattern: str, frame: int, many: bool) -> str:
         return path
     digits = f"{abs(frame):0{(end - start) or 4}d}"
     return os.path.join(folder, name[:start] + ("-" if frame < 0 else "") + digits + name[end:])
+
+
+def picture_path(scene: "bpy.types.Scene", numbered: bool, part: str = "") -> str:
+    """The absolute path, without extension, of the picture that Blender writes of a frame.
+
+    numbered: whether it is one of several frames. part: what tells several files of a frame apart, added to the name.
+
+    Raises SceneError where its folder is unknown.
+    """
+    render = scene.render
+    if render.filepath.startswith("//") and not bpy.data.filepath:
+        raise SceneError(f"{render.filepath} is relative to the .blend file, which is not saved yet; save it")
+    path = render.frame_path(frame=scene.frame_current) if numbered else bpy.path.abspath(render.filepath)
+    path = path.removesuffix(render.file_extension)
+    if not os.path.basename(path):
+        path += f"{scene.frame_current:04d}"
+    return path + (f"_{bpy.path.clean_name(part)}" if part else "")

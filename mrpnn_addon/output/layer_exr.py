@@ -7,7 +7,10 @@ import numpy as np
 
 from ...inference.image.layer import Layer
 from .exr_file import write_exr
-from .layer_frame import finite_depth
+from .layer_frame import finite, finite_depth
+
+# Of the channels of passes by name, and of others by their number.
+LETTERS, OF_COUNT = {"Position": "XYZ"}, {1: "Z", 3: "RGB", 4: "rgba"}
 
 
 def write_layer(
@@ -28,7 +31,8 @@ def write_layers(
     metadata: Mapping[str, str | int | float],
     check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write Combined, Alpha, Depth, Single, Multiple, Emission, Uncertainty and light groups as layers of one file.
+    """Write Combined, Alpha, Depth, Single, Multiple, Emission, Uncertainty, light groups and the layer's other
+    passes as layers of one file.
 
     layers: of each view, by its name; that of a file with one view is "". Channels have Blender's names
     (ViewLayer.Combined.R, ViewLayer.Combined.left.R ...), so that its compositor shows each layer as an output of an
@@ -64,4 +68,9 @@ def _channels(layer: Layer) -> dict[str, np.ndarray]:
     ):
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]
+    for name, values in layer.passes.items():
+        for index, letter in enumerate(
+            LETTERS.get(name) or ("Z", "", "RGB", "rgba")[values.size // layer.alpha.size - 1]
+        ):
+            channels[f"{name}.{letter}"] = finite(values.reshape(*layer.alpha.shape, -1)[..., index])
     return channels

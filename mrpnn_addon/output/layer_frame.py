@@ -11,6 +11,8 @@ from ...inference.scene import Camera
 
 # Cycles' depth where nothing scatters; infinity would break sums in a compositor.
 NO_DEPTH = 1e10
+# What passes have where there is nothing; 0 in others.
+NOTHING = {"Median Depth": np.inf, "Shadow": 1.0}
 
 
 def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
@@ -36,12 +38,19 @@ def in_frame(layer: Layer, camera: Camera, crop: bool) -> Layer:
         emission=placed(layer.emission, 0.0),
         sampling_error=None,
         groups={name: placed(rgb, 0.0) for name, rgb in layer.groups.items()},
+        deep=layer.deep and layer.deep.in_window((x0, y0, x1, y1), (width, height)),
+        passes={name: placed(values, NOTHING.get(name, 0.0)) for name, values in layer.passes.items()},
     )
 
 
 def finite_depth(layer: Layer) -> np.ndarray:
     """float32 (H, W): depth, NO_DEPTH where it is infinite."""
-    return np.where(np.isfinite(layer.depth), layer.depth, np.float32(NO_DEPTH))
+    return finite(layer.depth)
+
+
+def finite(depth: np.ndarray) -> np.ndarray:
+    """Depths float32, NO_DEPTH where they are infinite; other passes are finite as they are."""
+    return np.where(np.isfinite(depth), depth, np.float32(NO_DEPTH))
 
 
 def rgba(layer: Layer) -> np.ndarray:

@@ -3,23 +3,45 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import bpy
 import numpy as np
 
 from ...inference.image.layer import Layer
 from ...inference.image.predicted_error import expected_error
 from ...inference.scene import Medium, Surface, Volume
+from ..objects.animation import with_instanced
+from ..objects.visibility import render_objects
+from ..settings.view_layer import pass_settings
 
 if TYPE_CHECKING:
     from .reader import SceneDescription
 
 
+def lone_lights(scene: "bpy.types.Scene", view_layer: "bpy.types.ViewLayer") -> dict[str, str]:
+    """Names of the passes of lights in no light group by the names of their objects, and of the World; empty where the
+    view layer asks for none.
+    """
+    if not pass_settings(view_layer).use_pass_lights:
+        return {}
+    groups = {group.name for group in view_layer.lightgroups}
+    lights: list[Any] = [one for one in with_instanced(render_objects(view_layer)) if one.type == "LIGHT"]
+    if scene.world is not None and view_layer.use_sky:
+        lights.append(scene.world)
+    names = sorted({one.name for one in lights if one.lightgroup not in groups})
+    return {name: f"{name} (light)" if name in groups else name for name in names}
+
+
 @dataclass
 class LightGroups:
-    """names: of the view layer's light groups; empty where there are none. What is in none of them is in ""."""
+    """names: of the view layer's light groups; empty where there are none. What is in none of them is in "".
+
+    lone: names of groups of a single light, which are among them, by the name of its object or of the World.
+    """
 
     names: list[str] = field(default_factory=list)
+    lone: dict[str, str] = field(default_factory=dict)
     _groups: dict[int, str] = field(default_factory=dict)
 
     def add(self, shining: list, *groups: str) -> None:

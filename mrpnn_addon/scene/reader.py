@@ -4,7 +4,7 @@
 import copy
 import functools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -33,6 +33,7 @@ from ..objects.visibility import (
     VisibleObject,
     hidden_from_camera,
     ignored_visibility,
+    is_holdout,
     render_objects,
     unevaluated,
     visible_objects,
@@ -42,7 +43,8 @@ from ..runtime.text import utf8_names
 from ..volumes.bounding_boxes import box_around, remember_density
 from ..volumes.reader import EmptyVolume, VolumeReader
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
-from .light_groups import LightGroups
+from .light_groups import LightGroups, lone_lights
+from .outputs import Owner, Wanted, wanted
 from .overlap_warnings import overlap_warnings
 from .unrendered import composited
 
@@ -71,6 +73,7 @@ class SceneDescription:
     groups: which light group lights, volumes and meshes are in.
     views: what a picture shows; several where the scene is stereoscopic. `camera` is the active one. in_one_file:
         whether an OpenEXR file holds all of them.
+    wanted: what the view layer and the scene ask for besides colours.
     """
 
     volumes: list[tuple[Volume, Medium]] = field(default_factory=list)
@@ -92,6 +95,7 @@ class SceneDescription:
     groups: LightGroups = field(default_factory=LightGroups)
     views: list[View] = field(default_factory=list)
     in_one_file: bool = False
+    wanted: Wanted = field(default_factory=Wanted)
 
     def seen_by(self, view: View) -> "SceneDescription":
         """The same scene with a view's camera. Makes the surfaces, which the views share."""
@@ -249,7 +253,10 @@ def _describe(
         ],
     )
     if space is None:
-        description.groups.names = [group.name for group in depsgraph.view_layer.lightgroups]
+        description.wanted = wanted(scene, layer)
+        lone = lone_lights(scene.original, scene.original.view_layers[layer.name])
+        names = [group.name for group in layer.lightgroups]
+        description.groups = LightGroups([*names, *lone.values()], lone)
     reader, links = reader or VolumeReader(), LightLinks()
     for shown in visible_objects(depsgraph, space):
         check()
@@ -265,7 +272,8 @@ def _describe(
         discs, warnings = [], _refused(description, problem)
     description.environment = bool(discs or description.environments)
     if scene.world is not None:
-        description.groups.add([*discs, *description.environments], scene.world.lightgroup)
+        own = description.groups.lone.get(scene.world.name, "")
+        description.groups.add([*discs, *description.environments], scene.world.lightgroup, own)
     description.suns += discs
     description.warnings += warnings
     if description.opaque:
@@ -357,7 +365,8 @@ def _add(
             lights = [lamp] if lamp else []
             description.lamps += [lamp] if lamp else []
         links.add_light(shown, lights)
-        description.groups.add(lights, *_light_groups(shown))
+        lone = description.groups.lone.get(shown.object.name, "")
+        description.groups.add(lights, *_light_groups(shown), lone)
         description.warnings += warnings
     elif kind in SURFACES:
         surface, warnings = read_surface(shown, view_layer, reader.meshes)
@@ -385,15 +394,21 @@ def _add_volume(
     if not unseen:
         try:
             pairs, warnings = reader.read(shown)
+            if is_holdout(shown, view_layer):
+                black = np.zeros(3)
+                pairs = [
+                    (volume, replace(medium, albedo=black, emission=0.0, holdout=True)) for volume, medium in pairs
+                ]
             description.volumes += pairs
             description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
+            material = first_material(shown.object)
             for volume, _ in pairs:
                 links.add_volume(shown, volume.name)
+                description.wanted.owners[volume.name] = Owner(shown.object.name, material.name if material else "")
             remember_density(shown, *max(pairs, key=lambda pair: pair[0].density.max()))
             box, channels = box_around(shown)
             description.boxes.append((box, max(channels, len(pairs))))
             description.warnings += [*warnings, *(f"{where} {ignored}" for ignored in ignored_visibility(shown))]
-            material = first_material(shown.object)
             description.warnings += [
                 *ignored_settings(shown.object, VOLUME, where),
                 *(ignored_settings(material, VOLUME_MATERIAL, f"{where}: its material") if material else []),

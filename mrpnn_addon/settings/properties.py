@@ -115,6 +115,13 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Multi-layer OpenEXR file to write",
     )
 
+    use_deep: BoolProperty(
+        name="Deep EXR",
+        default=False,
+        description="Write samples in depth, too: a deep OpenEXR file beside the picture, with _deep after its name. "
+        "A compositor of deep images merges it with other renders at any depth",
+    )
+
     def settings(self) -> Settings:
         """The settings of `inference.render`."""
         preferred = machine()

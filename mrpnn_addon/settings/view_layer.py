@@ -23,6 +23,15 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
         description="Standard deviation of the error that is expected of Combined, mean over its channels: of what is "
         "predicted, and of the choice of depths along each ray, which more depth samples lower",
     )
+    use_pass_median_depth: BoolProperty(
+        name="Median Depth",
+        description="Distance along the ray at which half of the opacity of the volumes is in front. Position is there",
+    )
+    use_pass_lights: BoolProperty(
+        name="Each Light",
+        description="A pass for the World and for each light that is in no light group. Every pass is rendered by "
+        "itself",
+    )
 
 
 def pass_settings(view_layer: "bpy.types.ViewLayer") -> MRPNN_PG_view_layer:

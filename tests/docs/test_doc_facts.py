@@ -56,6 +56,13 @@ FACTS = [
         ("2 * PEAK_THICKNESS",),
     ),
     (
+        "docs/understand/method-details.md",
+        r"cut at (\d+) equal steps of its opacity and at (\d+) equal",
+        "inference.outputs.deep_slices",
+        ("CUTS + 1", "EVEN_CUTS"),
+    ),
+    ("docs/use/compositing.md", r"change by less than (\S+) in front", "inference.deep.thinning", ("TOLERANCE",)),
+    (
         "docs/trust/stability.md",
         r"optically thicker than (\S+) are cut again, up to (\d+) times",
         "inference.marching.ray_steps",
@@ -483,7 +490,7 @@ def test_links_lead_somewhere(path):
     assert wrong == []
 
 
-def test_checksums_are_those_of_the_shipped_weights():
+def test_checksums_are_those_of_the_weights_files():
     rows = dict(
         re.findall(
             r"^\| `([\w-]+)\.onnx` \| ([0-9a-f]{12}) \|",
@@ -491,5 +498,6 @@ def test_checksums_are_those_of_the_shipped_weights():
             re.MULTILINE,
         )
     )
-    shipped = {path.stem: path.read_text()[:12] for path in (ROOT / "inference/weights").glob("*.sha256")}
-    assert rows == shipped
+    files = [*(ROOT / "inference/weights").glob("*.sha256"), *(ROOT / "training/rpnn").glob("*.sha256")]
+    found = {path.stem: path.read_text()[:12] for path in files}
+    assert rows == found

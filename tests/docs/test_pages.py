@@ -93,7 +93,7 @@ def test_sentences_of_the_interface_are_short(addon):
     assert {name: sentences for name, sentences in found.items() if sentences} == {}
 
 
-@pytest.mark.parametrize("folder", ["inference", "mrpnn_addon", "operators", "panels"])
+@pytest.mark.parametrize("folder", ["inference", "evaluation", "mrpnn_addon", "operators", "panels"])
 def test_sentences_of_messages_are_short(folder):
     found = {}
     for path in (ROOT / folder).rglob("*.py"):
@@ -183,7 +183,7 @@ def test_lists_are_those_of_the_code(addon, name, monkeypatch):
 def test_messages_quoted_on_the_troubleshooting_page_exist(addon):
     code = " ".join(
         path.read_text()
-        for folder in ("inference", "mrpnn_addon", "operators", "panels")
+        for folder in ("inference", "evaluation", "mrpnn_addon", "operators", "panels")
         for path in (ROOT / folder).rglob("*.py")
     )
     # Literals that go on in the next line are one.

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+import training.rpnn  # noqa: F401  Lets settings name it.
 from inference import Environment, Medium, PointLight, RenderCache, SceneError, Settings, Sun, Surface, render
 from inference.image.reflected_light import open_volume
 from inference.occluders.seen_surfaces import ROWS, behind, open_sky, see_surfaces, vantage

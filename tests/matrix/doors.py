@@ -18,6 +18,7 @@ import numpy as np
 from tests.support import blender_scenes
 
 from .covering import Row
+from .exr import read_deep
 from .features import SIZE, Stage, is_dark
 from .pictures import (
     PARTS,
@@ -288,10 +289,13 @@ def check_baked(inference: ModuleType, description: object) -> None:
 
 
 def command_render(shot: Shot) -> None:
-    """`--command mrpnn render` writes F12's layers, with their parts."""
+    """`--command mrpnn render` writes F12's layers, with their parts, mattes and other passes, and deep samples."""
     path = shot.stage.folder / "command.exr"
-    (frame,) = run_command(shot, "render", "--output", str(path))["frames"]
-    assert Path(frame["file"]).exists()
+    for view_layer in shot.scene.view_layers:
+        view_layer.use_pass_cryptomatte_object = view_layer.use_pass_position = view_layer.use_pass_shadow = True
+        view_layer.mrpnn.use_pass_median_depth = True
+    (frame,) = run_command(shot, "render", "--deep", "--output", str(path))["frames"]
+    assert all(Path(file).exists() for file in frame["files"])
     for suffix in shot.suffixes:
         layer, expected = read_picture(path, suffix), shot.pictures[suffix]
         check_range("the file", layer.colour("ViewLayer.Combined", "RGBA"))
@@ -300,6 +304,35 @@ def command_render(shot: Shot) -> None:
         for name, part in zip(("Single", "Multiple", "Emission"), PARTS):
             apart = np.abs(layer.colour(f"ViewLayer.{name}") - expected.colour(f"ViewLayer.{part}")).max()
             assert apart <= SAME * brightest, f"{name} differs by {apart:.3g}"
+        check_outputs(layer, expected)
+        check_deep(path.with_stem(f"{path.stem}_deep{suffix}"), layer)
+
+
+def check_outputs(layer: Picture, expected: Picture) -> None:
+    """Mattes add up to the alpha, shadows are shares, and everything is what F12 has."""
+    for name in ("Position.X", "Position.Y", "Position.Z", "Median Depth.Z", "Shadow.R", "CryptoObject00.g"):
+        found = layer.channels[f"ViewLayer.{name}"]
+        assert np.isfinite(found).all(), f"{name} holds values that are not finite"
+        check_same(name, found, expected.channels[f"ViewLayer.{name}"], SAME)
+    mattes = [layer.channels[f"ViewLayer.CryptoObject{n:02}.{letter}"] for n in range(3) for letter in "ga"]
+    check_same("mattes beside alpha", np.sum(mattes, axis=0), layer.channels["ViewLayer.Alpha.A"], SAME)
+    check_range("shadow", 1.0 - layer.channels["ViewLayer.Shadow.R"])
+
+
+def check_deep(path: Path, layer: Picture) -> None:
+    """Samples show, one behind the other, what the layer shows."""
+    counts, samples = read_deep(path)
+    colours = np.stack([samples[letter] for letter in "RGBA"], axis=-1).astype(np.float64)
+    check_range("deep samples", colours)
+    assert np.all(samples["ZBack"] >= samples["Z"]), "deep samples end before they begin"
+    pixel = np.repeat(np.arange(counts.size), counts.ravel())
+    number = np.arange(len(pixel)) - np.repeat(np.cumsum(counts.ravel()) - counts.ravel(), counts.ravel())
+    flat = np.zeros((counts.size, 4))
+    for n in range(int(counts.max(initial=0))):
+        flat[pixel[number == n]] += (1.0 - flat[pixel[number == n], 3:]) * colours[number == n]
+    check_same(
+        "deep samples together", flat.reshape(*counts.shape, 4), layer.colour("ViewLayer.Combined", "RGBA"), SAME
+    )
 
 
 def command_bake(shot: Shot) -> None:

@@ -42,15 +42,37 @@ def read_channels(path: str | Path) -> dict[str, np.ndarray]:
     return {name: pixels for image in images for name, pixels in image["pixels"].items()}
 
 
+def read_deep(path: str | Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Samples of each pixel of a file of one deep part, int (H, W), and those of each channel, pixel after pixel."""
+    data = Path(path).read_bytes()
+    header, at = _header(data, 8)
+    image, counts = _image(header), []
+    at += 8 * image["height"]
+    samples: dict[str, list] = {name: [] for name, _ in image["channels"]}
+    for _ in range(image["height"]):
+        table, size, whole = struct.unpack_from("<3Q", data, at + 4)
+        at += 28
+        ends = _stored(data[at : at + table], 4 * image["width"])
+        counts.append(np.diff(np.frombuffer(ends, "<i4"), prepend=0))
+        block, place = _stored(data[at + table : at + table + size], whole), 0
+        for name, kind in image["channels"]:
+            samples[name].append(np.frombuffer(block, kind, counts[-1].sum(), place))
+            place += samples[name][-1].nbytes
+        at += table + size
+    return np.array(counts), {name: np.concatenate(lines).astype(np.float32) for name, lines in samples.items()}
+
+
+def _stored(block: bytes, size: int) -> bytes:
+    """A block of so many bytes, which is stored as it is where it does not shrink."""
+    return block if len(block) == size else _unpacked(block)
+
+
 def _fill(image: dict, y: int, block: bytes) -> None:
     """Enter a block of lines, the first one of which is `y`."""
     first = y - image["top"]
     last = min(first + image["lines"], image["height"])
     whole = (last - first) * image["width"] * sum(kind.itemsize for _, kind in image["channels"])
-    # A block that does not shrink is stored as it is.
-    if len(block) < whole:
-        block = _unpacked(block)
-    at = 0
+    block, at = _stored(block, whole), 0
     for row in range(first, last):
         for name, kind in image["channels"]:
             line = np.frombuffer(block, kind, image["width"], at)

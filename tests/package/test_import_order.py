@@ -13,11 +13,12 @@ from tests.support.paths import ROOT
 # volumes and the reference path tracer from training, and the scene of the soak from the tests' support.
 PACKAGES = {
     "inference": (),
-    "mrpnn_addon": ("inference",),
+    "evaluation": (),
+    "mrpnn_addon": ("evaluation", "inference"),
     "operators": ("mrpnn_addon", "inference"),
     "panels": ("operators", "mrpnn_addon", "inference"),
-    "training": ("inference",),
-    "benchmarks": ("tests", "training", "mrpnn_addon", "inference"),
+    "training": ("evaluation", "inference"),
+    "benchmarks": ("tests", "training", "mrpnn_addon", "evaluation", "inference"),
 }
 # Modules that exist only inside Blender.
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}
@@ -40,13 +41,14 @@ ROOMS = {
         "features",
         "network",
         "paper",
+        "deep",
         "render_cache",
         "image",
+        "outputs",
         "render",
         "points",
         "baking",
         "predict_multiple",
-        "evaluation",
     ),
     "mrpnn_addon": (
         "runtime",
@@ -126,7 +128,7 @@ def test_no_test_imports_a_test():
     ] == []
 
 
-@pytest.mark.parametrize("package", ["inference", "training"])
+@pytest.mark.parametrize("package", ["inference", "evaluation", "training"])
 def test_renderer_and_training_do_without_blender(package):
     assert [place for place, _, path in package_imports(package) if path[0] in BLENDER] == []
 
@@ -148,7 +150,7 @@ def test_rooms_import_only_those_before_them(package):
 
 def test_nothing_else_knows_the_papers_networks():
     """They register with `network`; the package's `__init__` calls for that."""
-    names = ("mrpnn-paper", "mrpnn-narrow", "mrpnn-wide", '"rpnn"')
+    names = ("mrpnn-paper", "mrpnn-narrow", "mrpnn-wide")
     knowing = []
     for package in ("inference", "mrpnn_addon", "operators", "panels"):
         for place, module, path in package_imports(package):

@@ -10,7 +10,11 @@ from tests.support.paths import ROOT
 
 SHIPPED = [
     ROOT / "__init__.py",
-    *(path for name in ("inference", "mrpnn_addon", "operators", "panels") for path in (ROOT / name).rglob("*.py")),
+    *(
+        path
+        for name in ("inference", "evaluation", "mrpnn_addon", "operators", "panels")
+        for path in (ROOT / name).rglob("*.py")
+    ),
 ]
 # What changes a list or a dictionary.
 CHANGES = {"append", "extend", "insert", "remove", "pop", "clear", "update", "setdefault", "__setitem__"}

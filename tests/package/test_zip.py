@@ -51,6 +51,7 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
             "operators",
             "panels",
             "inference",
+            "evaluation",
             "docs",
             "wheels",
         }
@@ -74,7 +75,7 @@ def test_every_platform_gets_its_own_wheels_and_only_the_extensions_files(zips):
         # Python reads the structures that it shares with them from these.
         headers = {"inference/kernels/fields.h", "inference/kernels/kernels.h"}
         assert {name for name in names if name.endswith(".h")} == headers
-        assert "inference/weights/mrpnn.onnx" in names and "inference/weights/rpnn.onnx" not in names
+        assert "inference/weights/mrpnn.onnx" in names
         assert {"inference/weights/uncertainty/mrpnn.onnx", "inference/weights/uncertainty/mrpnn.sha256"} <= set(names)
 
 

@@ -4,10 +4,10 @@
 import numpy as np
 import pytest
 import torch
+from inference.paper.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 from inference.features.stencil import LOW_POINTS
 from inference.paper.phase_features import PhaseFeatures
-from inference.paper.rpnn_lattice import LEVELS, POINTS, SHAPE
 from training.data.stencil import load_stencil
 from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
 

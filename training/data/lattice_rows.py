@@ -16,11 +16,11 @@ import numpy as np
 
 from inference.features.mip_lattices import density_pyramid
 from inference.grids.working_cube import fit_cube, level0_density
-from inference.paper.lattice_predictor import density_feature
-from inference.paper.rpnn_lattice import make_sun_lattice, read_lattices, refined_levels
 from training.files import write_rows
 from training.networks import RPNN
 from training.procedural.seeded_volume import seeded_volume
+from training.rpnn.lattice_predictor import density_feature
+from training.rpnn.rpnn_lattice import make_sun_lattice, read_lattices, refined_levels
 
 ANISOTROPY = np.float32(RPNN.ranges["anisotropy_range"][0])
 #: Relative rounding of half precision, which keeps 11 bits.

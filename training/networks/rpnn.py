@@ -5,7 +5,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from inference.paper.rpnn_lattice import LEVELS, POINTS, SHAPE
+from training.rpnn.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 WIDTH = 200
 #: Lattice points mirrored in the plane of sun and camera ray, under which radiance is invariant.
@@ -55,7 +55,7 @@ class RPNN(nn.Module):
         return torch.exp(self.head[2](o)[:, 0]).expand(albedo.shape)
 
     def graph(self, g):
-        """Add the whole network to an ONNX graph, with the inputs that `inference.paper.lattice_predictor` feeds."""
+        """Add the whole network to an ONNX graph, with the inputs that `training.rpnn.lattice_predictor` feeds."""
         g.input("lattice", ["N", LEVELS, POINTS])
         g.input("gamma", ["N"])
         g.input("albedo", ["A"])

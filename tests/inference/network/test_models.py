@@ -6,14 +6,11 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 
 import training.reference
+import training.rpnn
 from inference import Camera, Medium, Settings, Sun, Volume, available_models, predict_multiple, render
-from inference.models import weights_file
 from inference.scene import SceneError
-from training.export import export, save
-from training.networks import RPNN
 from training.procedural.seeded_volume import cube_volume
 from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, Vertices, trace_pixels, trace_points
 
@@ -28,13 +25,6 @@ def ball():
     return np.where(x**2 + y**2 + z**2 < 0.16, 0.5 + x, 0.0).astype(np.float32)
 
 
-@pytest.fixture
-def rpnn(tmp_path, monkeypatch):
-    torch.manual_seed(0)
-    save(export(RPNN(), {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}), str(tmp_path / "rpnn.onnx"))
-    monkeypatch.setattr(weights_file, "WEIGHTS", tmp_path)
-
-
 def camera(pixels):
     """An orthographic view along -z that shows the cube."""
     eye = np.eye(4)
@@ -42,7 +32,7 @@ def camera(pixels):
     return Camera(eye, "orthographic", (pixels, pixels), ortho_scale=1.0)
 
 
-def test_rpnn_says_which_values_it_used(rpnn, ball):
+def test_rpnn_says_which_values_it_used(ball):
     """It was trained for one anisotropy and albedo 1, and uses them for all others."""
     volume = cube_volume(ball, "fog")
     settings = Settings(depth_samples=2, model="rpnn")
@@ -58,7 +48,7 @@ def test_rpnn_says_which_values_it_used(rpnn, ball):
     np.testing.assert_allclose(other.multiple, own.multiple * np.float32([0.5, 0.9, 1.0]), rtol=1e-5)
 
 
-def test_rendering_does_not_depend_on_threads(rpnn, ball):
+def test_rendering_does_not_depend_on_threads(ball):
     medium, settings = Medium(20.0, 1.0, 0.857), dict(depth_samples=2, model="rpnn")
     layers = [
         render([(cube_volume(ball), medium)], [SUN], camera(40), Settings(threads=threads, **settings))
@@ -116,15 +106,16 @@ def test_the_reference_requires_cubic_voxels(ball):
         predict_multiple(volume, Medium(1.0), SUN, np.zeros((1, 3)), [[0.0, 0.0, 1.0]], model="reference")
 
 
-def test_without_the_repository_the_reference_is_named_and_refused():
+@pytest.mark.parametrize("name", ["reference", "rpnn"])
+def test_what_only_the_repository_has_is_named_and_refused(name):
     """As in the extension, which has no training code: a process of its own, since here it is registered."""
-    assert training.reference.PathTracer.name == "reference"
+    assert training.reference.PathTracer.name == "reference" and training.rpnn.NAME == "rpnn"
     code = (
         "import sys\n"
         "from inference import SceneError\n"
         "from inference.network.network import available_models, load_network\n"
-        "assert 'reference' not in available_models()\n"
-        "try: load_network('reference')\n"
+        f"assert {name!r} not in available_models()\n"
+        f"try: load_network({name!r})\n"
         "except SceneError as error: print(error)\n"
         "assert not {'numba', 'training', 'bpy'} & set(sys.modules)\n"
     )

@@ -8,13 +8,13 @@ import torch
 from inference.features.stencil import Stencil
 from inference.models import weights_file
 from inference.network import network
-from inference.paper import rpnn_lattice
 from inference.scene import SceneError
 from training.data.stencil import load_stencil
 from training.export import export, save
 from training.networks import NETWORKS
 from training.networks.mrpnn import GATHERED, RAY_INPUTS
 from training.networks.mrpnn import POINTS as SPARSE_POINTS
+from training.rpnn import rpnn_lattice
 
 CONFIGURATION = {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [1, 2000]}
 POINTS, POINTS_A_RAY = 77, 7

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+import training.rpnn  # noqa: F401  Lets settings name it.
 from inference import Medium, RenderCache, Settings, Sun, Surface, render
 from inference.occluders.cell_boundaries import CellBoundaries
 from inference.occluders.shadow_map import ShadowMap
@@ -78,6 +79,22 @@ def test_the_lit_fraction_of_cells_is_what_a_wall_leaves():
     np.testing.assert_allclose(
         shadow_map.cell_visibility(8, 1)[1:-1, 1:-1, 1:-1], shadow_map.cell_visibility(8), atol=1e-6
     )
+
+
+@pytest.mark.parametrize("direction", [(0.6, 0.5, 0.62), (0.0, 0.0, 1.0), (0.1, -0.9, 0.1)])
+def test_the_lit_fraction_of_cells_is_the_mean_of_samples(direction):
+    """Most cells are not sampled, since all heights around them tell the same."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    direction = np.array(direction) / np.linalg.norm(direction)
+    plates = [rectangle(-0.2, 0.15, -0.1, 0.2, height).triangles for height in (-0.1, 0.2)]
+    shadow_map = ShadowMap(plates, direction, corners)
+    cells, parts = 16, 3
+    along = (np.arange(cells * parts) + 0.5) / (cells * parts) - 0.5
+    points = np.stack(np.meshgrid(along, along, along, indexing="ij")).reshape(3, -1)
+    index = shadow_map.linear @ points + shadow_map.offset[:, None]
+    sampled = shadow_map.visibility(index.astype(np.float32)).reshape([cells, parts] * 3).mean(axis=(1, 3, 5))
+    assert 0.0 < sampled.mean() < 1.0 and np.any((sampled > 0.1) & (sampled < 0.9))
+    np.testing.assert_allclose(shadow_map.cell_visibility(cells, parts=parts), sampled, atol=1e-4)
 
 
 @pytest.mark.parametrize("model", ["mrpnn", "mrpnn-paper"])

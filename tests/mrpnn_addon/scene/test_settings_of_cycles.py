@@ -99,7 +99,8 @@ RENDER = {
     "belongs to a setting that is named": "motion_blur_.*",
 }
 VIEW_LAYER = {
-    "rendered: test_layers, test_light_groups, test_visibility": "use|use_pass_(combined|z|emit)|.*lightgroup.*"
+    "rendered: test_layers, test_mattes, test_light_groups, test_visibility": "use|use_pass_(combined|z|emit|position"
+    "|shadow|cryptomatte_(object|material))|pass_cryptomatte_depth|.*lightgroup.*"
     "|use_(solid|sky|strand|volumes)|(active_)?layer_collection|objects",
     "how Cycles samples": "samples",
     "passes that this engine has not": "use_pass_.*|.*cryptomatte.*|.*aov.*|pass_alpha_threshold",

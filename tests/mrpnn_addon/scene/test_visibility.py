@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Indirect-only collections and ray visibility: volumes left out or settings ignored, and named. Holdouts are shown."""
+"""Indirect-only collections and ray visibility: volumes left out or settings ignored, and named; holdouts."""
 
 import numpy as np
 import pytest
@@ -168,22 +168,59 @@ def test_with_nothing_left_every_volume_is_named_with_its_reason(addon, scene, t
 
 
 @pytest.mark.parametrize("how", ["layer", "object"])
-def test_a_holdout_is_shown_as_in_cycles(addon, scene, tmp_path, how):
+def test_a_volume_that_is_a_holdout_leaves_a_hole(addon, scene, tmp_path, how):
+    """Black smoke in front takes as much light from the cloud; what it covers is none of the layer's."""
     scene.render.resolution_x = scene.render.resolution_y = 16
-    cloud = blender_scenes.cloud_scene(scene, tmp_path)
+    blender_scenes.cloud_scene(scene, tmp_path)
+    path = blender_scenes.write_vdb(tmp_path, blender_scenes.blob(), blender_scenes.centred(16, 1.5))
+    black, _ = blender_scenes.add_volume(scene, path, "Black", Density=3.0, Color=(0.0, 0.0, 0.0, 1.0))
+    black.location = 0.3, 0.2, 2.0
     held = bpy.data.collections.new("Held")
     scene.collection.children.link(held)
-    held.objects.link(cloud)
-    scene.collection.objects.unlink(cloud)
+    held.objects.link(black)
+    scene.collection.objects.unlink(black)
+    settings = Settings(depth_samples=8, outputs=frozenset({"deep", "coverage"}))
+
+    def layer():
+        found = read(addon)
+        return found, render(found.volumes, found.lights, found.camera, settings)
+
+    _, smoke = layer()
+    other = scene.view_layers.new("Other")
     if how == "layer":
         scene.view_layers[0].layer_collection.children["Held"].holdout = True
     else:
-        cloud.is_holdout = True
+        black.is_holdout = True
+    described, hole = layer()
+    assert not [text for text in described.warnings if "Black" in text and "overlap" not in text]
+    np.testing.assert_allclose(hole.rgb, smoke.rgb, atol=0.02 * smoke.rgb.max())
+    of_cloud = smoke.coverage.volume == list(smoke.coverage.names).index("Cloud")
+    expected = np.bincount(smoke.coverage.pixel[of_cloud], smoke.coverage.share[of_cloud], 256).reshape(16, 16)
+    np.testing.assert_allclose(hole.alpha, expected, atol=1e-3)
+    assert hole.alpha.sum() < 0.9 * smoke.alpha.sum()
+    np.testing.assert_allclose(hole.deep.flat()[..., 3], hole.alpha, atol=1e-4)
+    assert {hole.coverage.names[number] for number in set(hole.coverage.volume.tolist())} == {"Cloud"}
+    if how == "layer":
+        with bpy.context.temp_override(view_layer=other):
+            assert not any(medium.holdout for _, medium in read(addon).volumes)
+
+
+@pytest.mark.parametrize("how", ["object", "shader"])
+def test_a_mesh_that_is_a_holdout_covers_whatever_its_shader(addon, scene, tmp_path, how):
+    blender_scenes.cloud_scene(scene, tmp_path)
+    bpy.ops.mesh.primitive_plane_add(size=9.0, location=(0.0, 0.0, 3.0))
+    plane = bpy.context.object
+    material = bpy.data.materials.new("Through")
+    material.use_nodes = True
+    tree = material.node_tree
+    kind = "ShaderNodeHoldout" if how == "shader" else "ShaderNodeBsdfTransparent"
+    tree.links.new(tree.nodes.new(kind).outputs[0], tree.get_output_node("ALL").inputs["Surface"])
+    plane.data.materials.append(material)
+    plane.is_holdout = how == "object"
     found = read(addon)
-    assert not found.warnings
-    layer = render(found.volumes, found.lights, found.camera, Settings(depth_samples=1))
-    seen = blender_scenes.render_cycles(scene, tmp_path, samples=32)[..., 3]
-    assert seen.max() > 0.3 and layer.alpha.mean() == pytest.approx(seen.mean(), rel=0.05)
+    assert len(found.opaque) == 1
+    layer = render(found.volumes, found.lights, found.camera, Settings(depth_samples=1), surfaces=found.surfaces)
+    assert not layer.alpha.any()
 
 
 def test_what_one_view_layer_hides_is_rendered_in_another(addon, scene, two):

@@ -6,8 +6,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from evaluation.error import relative_bias, relative_rmse
 from inference import SceneError, Settings, render
-from inference.evaluation.error import relative_bias, relative_rmse
 from tests.support import blender_scenes
 
 CELLS = 20

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from benchmarks.fidelity import pictures, views
+from evaluation.error import relative_bias, relative_rmse
 from inference import Camera, Medium, Settings, Sun, render
-from inference.evaluation.error import relative_bias, relative_rmse
 from training.procedural.seeded_volume import cube_volume
 from training.procedural.volumes import HELD_BACK, make_volume
 from training.tracer.path_tracer import PinholeCamera, Sampling, Scene, trace_pixels

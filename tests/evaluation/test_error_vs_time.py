@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from inference.evaluation.error import Estimate, relative_bias, relative_rmse
-from inference.evaluation.error_vs_time import (
+from evaluation.error import Estimate, relative_bias, relative_rmse
+from evaluation.error_vs_time import (
     AT_LEAST,
     AT_MOST,
     EXTRAPOLATED,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..plan.resolution import LEVEL0_CELLS
+from inference.plan.resolution import LEVEL0_CELLS
 
 LEVELS = 10
 SHAPE = (5, 5, 9)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from inference.evaluation.error import error_text, paper_metric, relative_bias, relative_rmse
+from evaluation.error import error_text, paper_metric, relative_bias, relative_rmse
 
 SIZE = 160
 

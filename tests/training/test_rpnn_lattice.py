@@ -15,15 +15,6 @@ from inference.network import network
 from inference.network.conditions import RayPoints
 from inference.network.placed_lights import PlacedSun
 from inference.network.predictor import VolumePredictor
-from inference.paper.rpnn_lattice import (
-    FINE,
-    LEVELS,
-    POINTS,
-    make_sun_lattice,
-    read_lattices,
-    refined_levels,
-    sun_frames,
-)
 from inference.paper.sun_lattices import unit_optical_depths
 from training.data import lattice_rows
 from training.data.descriptors import Levels, describe_points
@@ -32,6 +23,15 @@ from training.data.targets import unit_vectors
 from training.export import export, save
 from training.networks import RPNN
 from training.procedural.seeded_volume import seeded_volume
+from training.rpnn.rpnn_lattice import (
+    FINE,
+    LEVELS,
+    POINTS,
+    make_sun_lattice,
+    read_lattices,
+    refined_levels,
+    sun_frames,
+)
 from training.tracer.path_tracer import sample_scattering_points
 
 SUN = np.array([0.36, -0.48, 0.8])
@@ -161,13 +161,13 @@ def test_training_sees_what_rendering_sees(data, tmp_path, monkeypatch):
     tensors = {key: torch.from_numpy(value) for key, value in rows.items()}
     with torch.no_grad():
         trained = net(*RPNN.inputs(tensors, torch.arange(len(kept))), tensors["albedo"].T).numpy()[0]
-    save(export(net, {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [0.01, 2000]}), str(tmp_path / "rpnn.onnx"))
+    save(export(net, {"anisotropy_range": [-0.3, 0.95], "sigma_hat_range": [0.01, 2000]}), str(tmp_path / "made.onnx"))
     monkeypatch.setattr(weights_file, "WEIGHTS", tmp_path)
     volume, _ = seeded_volume(SEED)
     cube = fit_cube(volume)
     for i in (0, len(kept) // 2, len(kept) - 1):
         sigma_t = data["sigma_hat"][kept[i]] / cube.edge
-        predictor = VolumePredictor(network.load_network("rpnn"), volume, 0.857)
+        predictor = VolumePredictor(network.load_network("made"), volume, 0.857)
         position, omega = (data[key][kept[i]][None].astype(np.float64) for key in ("position", "omega"))
         prepared = predictor.prepare(sigma_t, PlacedSun(Sun(data["sun"][kept[i]]), cube))
         np.testing.assert_allclose(prepared.predict(RayPoints(position, omega), [1.0])[0, 0], trained[i], rtol=5e-3)

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..features.descriptors import angle_to_sun
-from ..features.mip_lattices import DENSITY_SCALE, density_pyramid
-from ..grids.working_cube import Cube, level0_density
-from ..network.conditions import LitConditions, RayPoints
-from ..network.interfaces import PointNetwork, Predictor
-from ..runtime.cancellation import NEVER, CancelToken
-from ..runtime.tasks import SERIAL, AnyTasks
-from ..scene.description import Volume
+from inference.features.descriptors import angle_to_sun
+from inference.features.mip_lattices import DENSITY_SCALE, density_pyramid
+from inference.grids.working_cube import Cube, level0_density
+from inference.network.conditions import LitConditions, RayPoints
+from inference.network.interfaces import PointNetwork, Predictor
+from inference.runtime.cancellation import NEVER, CancelToken
+from inference.runtime.tasks import SERIAL, AnyTasks
+from inference.scene.description import Volume
+
 from .rpnn_lattice import SunLattice, read_lattices, refined_levels
 
 
