@@ -10,7 +10,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
 from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
-from ..points.group_radiance import GroupRadiance, spans
+from ..points.group_radiance import GroupRadiance
 from ..render import prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
@@ -22,11 +22,11 @@ from ..scene.description import Medium, Surface, Volume
 from ..scene.light import Light
 from ..scene.settings import Settings
 from .directional_factor import DETAIL_SHARPNESS, BakedView, NodeGrid
-from .directions import FINE_NODES, MAX_POINTS, PREDICTIONS, DirectionFit, expected_work, make_lobe, stride_of
-from .guided_light import GuidedLight, KnownLight, MarchedPoints, PointGrid
+from .directions import FINE_NODES, MAX_POINTS, DirectionFit, expected_work, make_lobe, stride_of
+from .guided_light import GuidedLight, KnownLight, LightPart, PointGrid, grey_of
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, block_means, make_lattice
 from .lit_volume import LitVolume
-from .smooth_light import FEW, continued, importance_of, radiance_in_voxels
+from .smooth_light import FEW, SKY_STRIDES, STRIDES, continued, importance_of, radiance_in_voxels
 
 # Least transmittance with which a direction counts in the mean over those that show a voxel.
 HARDLY_SEEN = 1e-3
@@ -34,6 +34,10 @@ HARDLY_SEEN = 1e-3
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
 POINTS_PER_BATCH = 1 << 16
+# Predictions for each of the directions whose mean is baked.
+MEAN_PREDICTIONS = 6000
+# Predictions of the light of environments, which is smooth, over those of lights.
+SKY_SHARE = 0.5
 # Steps of the ray that a point marches, about, for the progress.
 STEPS_PER_POINT = 60.0
 
@@ -103,12 +107,6 @@ def baked_view(camera: Camera | None) -> BakedView:
     return BakedView(position=camera.world_matrix[:3, 3].copy(), up=up)
 
 
-def _grey(light: np.ndarray) -> np.ndarray:
-    """Mean (...) over the colours of light (..., 3); numpy is slow to reduce an axis of length 3."""
-    mean: np.ndarray = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3.0)
-    return mean
-
-
 class _Bake:
     """One bake of a prepared scene."""
 
@@ -117,6 +115,8 @@ class _Bake:
         self.view, self._switches = baked_view(camera), context.settings.optimizations
         self.lattices = [self._lattice(v) for v in range(len(scene.plan.volumes))]
         self.visibilities = [self._visibility(v) for v in range(len(scene.plan.volumes))]
+        # Along the directions whose mean is baked, of each volume.
+        self._known: list[list[KnownLight]] = [[] for _ in self.lattices]
         self._expect()
 
     def run(self) -> dict[int, LitVolume]:
@@ -156,15 +156,14 @@ class _Bake:
         lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(self.scene.environments)
         jobs = lights * len(plan.channels)
         wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
-        points = marched = sum(wanted)
+        points = sum(wanted)
         if self.context.settings.directional:
             for voxels, lattice, visibility in zip(wanted, self.lattices, self.visibilities):
                 thickness = visibility.most_extinction * lattice.voxel
-                more, predicted = expected_work(voxels, max(lattice.density.shape), thickness)
-                points, marched = points + predicted, marched + more
+                points += expected_work(voxels, max(lattice.density.shape), thickness)
         progress.expect("transport", jobs * len(plan.groups))
         progress.expect("lattices", jobs * len(plan.groups))
-        progress.expect("march", STEPS_PER_POINT * marched * len(plan.channels))
+        progress.expect("march", STEPS_PER_POINT * points * len(plan.channels))
         progress.expect("network", points * jobs)
 
     def _wanted(self, v: int) -> np.ndarray:
@@ -178,18 +177,34 @@ class _Bake:
         """Multiple scattering (nx, ny, nz, 3) of one volume in some colour channels, for an albedo of 1."""
         lattice, report = self.lattices[v], self.context.report
         self.context.progress.message(f"multiple scattering in {self.scene.plan.volumes[v][0].name}")
-
-        def predict(voxels: np.ndarray) -> np.ndarray:
-            return self._predicted(light, lattice.positions(voxels))
-
         wanted = self._wanted(v)
-        if "smooth_light" in self._switches and np.count_nonzero(wanted) > FEW and self._sees_all_around:
+        report.count("voxels with light", np.count_nonzero(wanted))
+        smooth = "smooth_light" in self._switches and np.count_nonzero(wanted) > FEW
+        if smooth and self._sees_all_around:
             return self._mean_radiance(v, light, wanted)
         thickness = lattice.density * np.float32(lattice.voxel * channels.sigma_t[v])
         importance = importance_of(thickness, self.visibilities[v].towards(self.view, lattice))
-        radiance, predicted = radiance_in_voxels(wanted, importance, predict, "smooth_light" in self._switches)
-        report.count("voxels with light", np.count_nonzero(wanted))
-        report.count("voxels predicted", predicted)
+        radiance = np.zeros((*wanted.shape, 3), np.float32)
+        # Light that surfaces throw back changes fast beside them.
+        parts = light.parts if smooth and self.scene.thrown_back is None else (light, None)
+        for part, strides in zip(parts, (STRIDES, SKY_STRIDES)):
+            if part is not None:
+
+                def predict(voxels: np.ndarray, part: GroupRadiance = part) -> np.ndarray:
+                    return self._predicted(part, lattice.positions(voxels))
+
+                if "smooth_light" not in self._switches:
+                    strides = (1,)
+                found, predicted = radiance_in_voxels(wanted, importance, predict, strides)
+                radiance += found
+                report.count("voxels predicted", predicted)
+        return radiance
+
+    def _in_voxels(self, v: int, values: np.ndarray, grid: PointGrid, wanted: np.ndarray) -> np.ndarray:
+        """Light (nx, ny, nz, 3) in the wanted voxels, from that on a coarse grid."""
+        radiance = np.zeros((*wanted.shape, 3), np.float32)
+        nodes = NodeGrid(values, grid.world_from_index)
+        radiance[wanted] = nodes.sample(self.lattices[v].positions(np.argwhere(wanted)))
         return radiance
 
     @property
@@ -203,20 +218,18 @@ class _Bake:
         stride = stride_of(max(lattice.density.shape), FINE_NODES, visibility.most_extinction * lattice.voxel)
         while np.count_nonzero(filled := block_means(wanted.astype(np.float32), stride)) * len(DIRECTIONS) > MAX_POINTS:
             stride += 1
-        grid, places = PointGrid.over(lattice, stride), np.argwhere(filled)
+        places = np.argwhere(filled)
+        along = guided.at(stride, places)
+        grid = along.grid
         voxels = lattice.voxels(grid.positions(places))
         # A ray along a direction shows a point to a viewer on the other side of it.
         shares = WEIGHTS * np.maximum(visibility.transmittances(voxels, -DIRECTIONS), HARDLY_SEEN)
         shares /= shares.sum(axis=1, keepdims=True)
         mean = np.zeros((len(places), 3), np.float32)
         for direction, share in zip(DIRECTIONS, shares.T.astype(np.float32)):
-            light_along = guided(grid, places, BakedView(direction=direction), share, PREDICTIONS)
-            mean += share[:, None] * light_along
-        radiance = np.zeros((*wanted.shape, 3), np.float32)
-        nodes = NodeGrid(grid.spread(places, mean), grid.world_from_index)
-        radiance[wanted] = nodes.sample(lattice.positions(np.argwhere(wanted)))
-        self.context.report.count("voxels with light", np.count_nonzero(wanted))
-        return radiance
+            mean += share[:, None] * along(BakedView(direction=direction), share, MEAN_PREDICTIONS)
+        self._known[v] += guided.known
+        return self._in_voxels(v, grid.spread(places, mean), grid, wanted)
 
     def _predicted(self, light: GroupRadiance, positions: np.ndarray) -> np.ndarray:
         """Radiance (3, N) at world positions (N, 3), along the baked view, or its mean over all directions."""
@@ -273,24 +286,29 @@ class _Bake:
         return coefficient * albedo.reshape(*shape, 3)
 
     def _guided(
-        self, v: int, lights: list[GroupRadiance], coefficient: Callable[[np.ndarray], np.ndarray]
+        self, v: int, lights: Sequence[GroupRadiance], coefficient: Callable[[np.ndarray], np.ndarray]
     ) -> GuidedLight:
         """Light of one volume from some lights; coefficient: of its scattering at positions (N, 3)."""
+        lattice, visibility = self.lattices[v], self.visibilities[v]
 
-        def march(light: GroupRadiance, positions: np.ndarray, directions: np.ndarray) -> MarchedPoints:
-            self.context.cancel.check()
-            points = light.gathered(positions, directions)
+        def part(kind: int, share: float) -> list[LightPart]:
+            alike = [one for one in (light.parts[kind] for light in lights) if one is not None]
 
-            def predict(numbers: np.ndarray) -> np.ndarray:
-                radiance = light.radiance(points, [numbers[span] for span in spans(len(numbers))])
-                return coefficient(positions[numbers]) * radiance.T
+            def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
+                radiance = np.sum([one(positions, directions) for one in alike], axis=0)
+                scattered: np.ndarray = coefficient(positions) * radiance.T
+                return scattered
 
-            return MarchedPoints(light.guides(points), predict)
+            def unscattered(positions: np.ndarray) -> np.ndarray:
+                if kind:
+                    return visibility.openness(lattice.voxels(positions))
+                return np.sum([one.unscattered(positions) for one in alike], axis=0)
 
-        lattice = self.lattices[v]
-        middle = lattice.positions(0.5 * (np.array(lattice.density.shape) - 1.0)[None])[0]
+            return [LightPart(predict, unscattered, share)] if alike else []
+
         every = "smooth_light" not in self._switches or np.count_nonzero(self._wanted(v)) <= FEW
-        return GuidedLight(middle, lambda *rays: [march(light, *rays) for light in lights], every, [])
+        extinction = lattice.density * np.float32(self.scene.plan.volumes[v][1].sigma_t.mean())
+        return GuidedLight(lattice, extinction, [*part(0, 1.0), *part(1, SKY_SHARE)], every)
 
     def _lit(self, v: int, radiance: np.ndarray, steady: np.ndarray, lights: list[GroupRadiance]) -> LitVolume:
         """Baked light from what suns, (nx, ny, nz, 3), and volumes, the same, light up."""
@@ -305,7 +323,8 @@ class _Bake:
             guided = self._guided(v, lights, lambda positions: self._coefficient(v, positions))
             known = self.view.directions(guided.middle[None])
             if known is not None:
-                guided.known.append(KnownLight(known[0], PointGrid.over(lattice, 1), _grey(scattered)))
+                guided.known.append(KnownLight(known[0], PointGrid.over(lattice, 1), grey_of(scattered)))
+            guided.known.extend(self._known[v])
             with report.stage("directions"):
                 fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, guided)
                 directional = fit.factor(DETAIL_SHARPNESS * medium.anisotropy**2)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How baked light depends on the direction that it is seen from."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +17,13 @@ from .directional_factor import (
     anchor_terms,
     directional_terms,
 )
-from .guided_light import GuidedLight, PointGrid
+from .guided_light import GuidedLight, PointGrid, grey_of
 from .lattice import DIRECTIONS, BakeLattice, Visibility, block_means
 
 # Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
 NODES, FINE_NODES = 48, 112
 # Predictions for each direction: of the smooth coefficients, of an anchor.
-SMOOTH_PREDICTIONS, PREDICTIONS = 600, 6000
+SMOOTH_PREDICTIONS, PREDICTIONS = 2000, 4000
 # Points times directions of each kind, beyond which points are farther apart.
 MAX_POINTS = 1_000_000
 # Share of the points with light that count where rays go along one direction, for the progress.
@@ -93,13 +93,13 @@ def stride_of(longest: int, most: int, thickness: float) -> int:
     return max(-(-longest // most), int(thin), 1)
 
 
-def expected_work(voxels: float, longest: int, thickness: float) -> tuple[float, float]:
-    """Points that a fit marches from, and predictions, about; voxels: with light. Others: as for `stride_of`."""
-    marched, predictions = 0.0, 0.0
+def expected_work(voxels: float, longest: int, thickness: float) -> float:
+    """Predictions of a fit, about; voxels: with light. Others: as for `stride_of`."""
+    predictions = 0.0
     for most, each, count in (FINE_NODES, PREDICTIONS, len(ANCHORS) - 1), (NODES, SMOOTH_PREDICTIONS, len(DIRECTIONS)):
-        points = min(IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3, MAX_POINTS / count)
-        marched, predictions = marched + count * points, predictions + count * min(points, each)
-    return marched, predictions
+        points = IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3
+        predictions += count * min(points, each)
+    return predictions
 
 
 @dataclass(frozen=True)
@@ -174,16 +174,18 @@ class DirectionFit:
     def _smooth(self) -> tuple[NodeGrid, NodeGrid | None]:
         """Smooth coefficients, and those of the colours."""
         directions = sampled_directions(self.lobe)
-        nodes, seen, _ = self._important(NODES, directions)
+        nodes, seen, stride = self._important(NODES, directions)
         views = [BakedView(direction=direction) for direction in directions]
-        found = [self._light(nodes, view, seen[:, k], SMOOTH_PREDICTIONS) for k, view in enumerate(views)]
-        samples = np.stack(found, axis=1)
-        terms, grey = directional_terms(directions, self.lobe), samples.mean(axis=2)
+        light = self._light(nodes, stride)
+        found = [light(view, seen[:, k], SMOOTH_PREDICTIONS) for k, view in enumerate(views)]
+        terms, grey = directional_terms(directions, self.lobe), np.stack([grey_of(one) for one in found], axis=1)
         spans = [slice(start, start + NODES_PER_BATCH) for start in range(0, len(grey), NODES_PER_BATCH)]
         smooth = nodes.grid(np.concatenate([_fit(grey[span], seen[span], terms) for span in spans]))
+        if all(np.array_equal(one[:, c], one[:, 0]) for one in (nodes.baked, *found) for c in (1, 2)):
+            return smooth, None
         along = self.view.directions(nodes.positions)
         turned = directions[None] - (0.0 if along is None else along[:, None])
-        ratios = _ratios(samples) - _ratios(nodes.baked[:, None])
+        ratios = _ratios(np.stack(found, axis=1)) - _ratios(nodes.baked[:, None])
         ratios[seen == 0.0] = 0.0
         if np.abs(ratios).max() < SAME_COLOUR:
             return smooth, None
@@ -197,16 +199,16 @@ class DirectionFit:
         [frame] = frames
         nodes, seen, stride = self._important(FINE_NODES, product(ANCHORS, frame))
         views = [self._turned(frame.T @ _turn(anchor) @ frame) for anchor in ANCHORS]
-        light = [nodes.baked]
-        light += [self._light(nodes, view, seen[:, k], PREDICTIONS) for k, view in enumerate(views) if k]
+        along_view, light = self._light(nodes, stride), [nodes.baked]
+        light += [along_view(view, seen[:, k], PREDICTIONS) for k, view in enumerate(views) if k]
         found = [view.directions(nodes.positions) for view in views]
         along = np.stack([one for one in found if one is not None], axis=1)
-        return _AlongAnchors(nodes, stride, along, np.stack([one.mean(axis=1) for one in light], axis=1))
+        return _AlongAnchors(nodes, stride, along, np.stack([grey_of(one) for one in light], axis=1))
 
     def _anchors(self, smooth: NodeGrid, known: _AlongAnchors | None) -> NodeGrid:
         """Logarithms of the light as baked, and what corrects smooth coefficients along the anchors."""
         every = self._nodes(self._stride(FINE_NODES) if known is None else known.stride)
-        positions, logarithms = every.positions, _logarithm(every.baked.mean(axis=1))
+        positions, logarithms = every.positions, _logarithm(grey_of(every.baked))
         frames = self.view.frames(positions)
         if frames is None or known is None:
             return every.grid(logarithms[:, None])
@@ -244,13 +246,13 @@ class DirectionFit:
             return BakedView(direction=rotation @ self.view.direction)
         return BakedView(position=self._middle + rotation @ (self.view.position - self._middle))
 
-    def _light(self, nodes: _Nodes, view: BakedView, seen: np.ndarray, most: int) -> np.ndarray:
+    def _light(self, nodes: _Nodes, stride: int) -> Callable[[BakedView, np.ndarray, int], np.ndarray]:
         """Light (N, 3) that density 1 scatters at nodes along a view's rays, which show them so clearly (N,).
 
-        most: how many of them are predicted, about.
+        The last argument is how many of them are predicted, about.
         """
-        importance = seen * self._thickness(nodes)
-        return self.light(nodes.points, nodes.places, view, importance, most) + nodes.steady
+        light, thickness = self.light.at(stride, nodes.places), self._thickness(nodes)
+        return lambda view, seen, most: light(view, seen * thickness, most) + nodes.steady
 
     def _stride(self, most: int) -> int:
         thickness = self.visibility.most_extinction * self.lattice.voxel
@@ -314,7 +316,7 @@ def _logarithm(light: np.ndarray) -> np.ndarray:
 
 def _ratios(light: np.ndarray) -> np.ndarray:
     """Logarithms of the ratios of colours (..., 3) to their mean; those that are hardly there count as equal."""
-    mean = np.maximum(light.mean(axis=-1, keepdims=True), 1e-30)
+    mean = np.maximum(grey_of(light), 1e-30)[..., None]
     return np.log(np.maximum(light / mean, 1e-3))
 
 

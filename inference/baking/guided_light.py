@@ -1,24 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light at the points of a coarse grid along one direction, of which the network predicts a few.
 
-From every point a ray is marched. It tells what is known of the light before that is predicted (`Estimator.guides`).
-The light is predicted at some of the points, and a sum of the guides is fitted to it. The ratio of the light to this
-sum varies little from point to point. It is interpolated, and the guides tell the rest: a ratio estimator, whose
-control variate is the sum of the guides.
+Guides tell roughly what the light is at every point before it is predicted: what arrives unscattered, what arrives from
+ahead (`light_ahead`), and the light along other directions. The light is predicted at some of the points, and a sum of
+the guides is fitted to it. The ratio of the light to this sum varies little from point to point. It is interpolated,
+and the guides tell the rest: a ratio estimator, whose control variate is the sum of the guides.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..numerics.quadrature import PLASTIC
 from ..numerics.small_matmul import product
 from .directional_factor import BakedView
-from .lattice import BakeLattice
+from .lattice import BakeLattice, block_means
+from .light_ahead import light_ahead
 
 # Light that guides do not tell, as a share of the mean.
 AMBIENT = 0.02
+# Powers of the light that arrives unscattered, which falls faster than that which has scattered.
+DIFFUSE = (0.33, 0.1)
 # Steps of the fit of guides.
 FIT_STEPS = 60
 # Directions in which light is known already that guide predictions along the next.
@@ -28,14 +31,16 @@ SPARSE = 0.2
 
 
 @dataclass(frozen=True)
-class MarchedPoints:
-    """N points of rays. guides: (N, C), as of Estimator. predict: light (M, 3) at some of them, by number.
+class LightPart:
+    """Some of the lights of one volume, which are predicted at the same points.
 
-    `predict` may raise Cancelled.
+    predict: light float32 (N, 3) at world positions (N, 3) along unit directions (N, 3). unscattered: light (N,) that
+    arrives at positions without scattering, about. share: of predictions that it needs. Both may raise Cancelled.
     """
 
-    guides: np.ndarray
-    predict: Callable[[np.ndarray], np.ndarray]
+    predict: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    unscattered: Callable[[np.ndarray], np.ndarray]
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -109,12 +114,13 @@ def _blended(sums: np.ndarray, most: np.float32) -> np.ndarray:
 
 def _doubled(values: np.ndarray, axis: int, size: int) -> np.ndarray:
     """Values between the middles of blocks of two, along an axis, of `size` points."""
-    before = np.concatenate([values.take([0], axis), values.take(range(values.shape[axis] - 1), axis)], axis)
-    after = np.concatenate([values.take(range(1, values.shape[axis]), axis), values.take([-1], axis)], axis)
-    near = np.float32(0.75) * values
-    pairs = np.stack([near + np.float32(0.25) * before, near + np.float32(0.25) * after], axis + 1)
-    shape = [*values.shape[:axis], 2 * values.shape[axis], *values.shape[axis + 1 :]]
-    return pairs.reshape(shape).take(range(size), axis)
+    found = np.empty([2 * n if a == axis else n for a, n in enumerate(values.shape)], np.float32)
+    pairs, near = np.moveaxis(found, axis, 0), np.moveaxis(np.float32(0.75) * values, axis, 0)
+    far = np.moveaxis(np.float32(0.25) * values, axis, 0)
+    pairs[0], pairs[-1] = near[0] + far[0], near[-1] + far[-1]
+    np.add(near[1:], far[:-1], out=pairs[2::2])
+    np.add(near[:-1], far[1:], out=pairs[1:-1:2])
+    return found[(slice(None),) * axis + (slice(size),)]
 
 
 @dataclass(frozen=True)
@@ -125,89 +131,146 @@ class KnownLight:
     grid: PointGrid
     light: np.ndarray
 
-    def at(self, positions: np.ndarray) -> np.ndarray:
-        """(N,) at the points next to world positions (N, 3)."""
-        return self.light.reshape(-1)[self.grid.places(positions)]
+    def on(self, grid: PointGrid) -> "KnownLight":
+        """The same at the points of another grid."""
+        if self.grid is grid:
+            return self
+        positions = grid.positions(np.indices(grid.shape).reshape(3, -1).T)
+        light = self.light.reshape(-1)[self.grid.places(positions)]
+        return KnownLight(self.direction, grid, light.reshape(grid.shape).astype(np.float32))
 
 
 @dataclass(frozen=True)
 class GuidedLight:
     """Light of one volume at points of grids.
 
-    middle: (3,) in the world, of the volume. march: from world positions (N, 3) along unit directions (N, 3); the light
-    is that of all it returns. It may raise Cancelled. every: whether light is predicted at every point. known: along
-    other directions.
+    extinction: of the lattice's voxels, float32 (nx, ny, nz) per world unit. every: whether light is predicted at every
+    point. known: along other directions.
     """
 
-    middle: np.ndarray
-    march: Callable[[np.ndarray, np.ndarray], list[MarchedPoints]]
+    lattice: BakeLattice
+    extinction: np.ndarray
+    parts: Sequence[LightPart]
     every: bool
-    known: list[KnownLight]
+    known: list[KnownLight] = field(default_factory=list)
 
-    def __call__(
-        self, grid: PointGrid, places: np.ndarray, view: BakedView, importance: np.ndarray, most: int
-    ) -> np.ndarray:
-        """Light (N, 3) at points int (N, 3) of a grid along the rays of a view, which guides further predictions.
+    @property
+    def middle(self) -> np.ndarray:
+        """(3,) in the world, of the volume."""
+        middle: np.ndarray = self.lattice.positions(0.5 * (np.array(self.lattice.density.shape) - 1.0)[None])[0]
+        return middle
 
-        importance: (N,), at least 0; those without any take the light of others. most: how many are predicted, about.
+    def at(self, stride: int, places: np.ndarray) -> "LightAtPoints":
+        """Light at points int (N, 3) in blocks of stride^3 voxels. Raises Cancelled."""
+        return LightAtPoints(self, stride, places)
+
+
+class LightAtPoints:
+    """Light of one volume at some points of a grid, along one direction after the other."""
+
+    def __init__(self, light: GuidedLight, stride: int, places: np.ndarray) -> None:
+        """The arguments are those of `GuidedLight.at`."""
+        self.grid, self._light, self._at = PointGrid.over(light.lattice, stride), light, tuple(places.T)
+        self._places, self._positions = np.ravel_multi_index(self._at, self.grid.shape), self.grid.positions(places)
+        self._extinction = block_means(light.extinction, stride)
+        self._middle = light.middle
+        filled = np.argwhere(self._extinction > 0.0)
+        positions = self.grid.positions(filled)
+        arriving = [] if light.every else [part.unscattered(positions) for part in light.parts]
+        self._unscattered = [
+            self.grid.spread(filled, one[:, None])[..., 0] / np.float32(max(float(one.mean()), 1e-30))
+            for one in arriving
+        ]
+        self._order = np.argsort(_morton(self._positions))
+
+    def __call__(self, view: BakedView, importance: np.ndarray, most: int) -> np.ndarray:
+        """Light float32 (N, 3) at the points along the rays of a view, which guides further predictions.
+
+        importance: (N,), at least 0; at points without any, light is not predicted. most: how many are, about.
+        Raises Cancelled.
         """
-        some = np.flatnonzero(importance > 0.0)
-        if not len(some):
-            return np.zeros((len(places), 3), np.float32)
-        positions = grid.positions(places[some])
-        directions, along = view.directions(positions), view.directions(self.middle[None])
+        if not importance.any():
+            return np.zeros((len(importance), 3), np.float32)
+        directions, along = view.directions(self._positions), view.directions(self._middle[None])
         assert directions is not None and along is not None
-        near = sorted(self.known, key=lambda known: -float(known.direction @ along[0]))[:NEAR]
-        light = np.zeros((len(some), 3), np.float32)
-        for marched in self.march(positions, directions):
-            if self.every:
-                light += marched.predict(np.arange(len(some)))
-            else:
-                light += light_at_points(grid, positions, marched, importance[some], near, most)
-        values = grid.spread(places[some], light)
-        self.known.append(KnownLight(along[0], grid, values.mean(axis=3)))
-        return values[tuple(places.T)]
+        if self._light.every:
+            return self._predicted_everywhere(directions, along[0], importance)
+        known = self._light.known
+        known[:] = sorted(known, key=lambda one: -float(one.direction @ along[0]))
+        known[:NEAR] = [one.on(self.grid) for one in known[:NEAR]]
+        near = [one.light / np.float32(max(float(one.light.mean()), 1e-30)) for one in known[:NEAR]]
+        scattered = [sum(near) / np.float32(len(near))] if near else []
+        sources = np.stack([*self._unscattered, *scattered])
+        index_direction = np.linalg.solve(self.grid.world_from_index[:3, :3], along[0])
+        ahead, through = light_ahead(self._extinction, sources, index_direction)
+        shared = [through, *near, np.ones_like(through)]
+        if near:
+            shared += list(ahead[-1])
+        found, grey = np.zeros((len(importance), 3), np.float32), np.zeros(self.grid.shape, np.float32)
+        for part, unscattered, arriving in zip(self._light.parts, self._unscattered, ahead):
+            powers = [unscattered**power for power in DIFFUSE]
+            guides = [one.reshape(-1) for one in (unscattered, *powers, *arriving, *shared)]
+            light, mean = self._ratio_estimate(part, guides, directions, importance, most)
+            found += light
+            grey += mean
+        known.append(KnownLight(along[0], self.grid, grey))
+        return found
+
+    def _predicted_everywhere(self, directions: np.ndarray, along: np.ndarray, importance: np.ndarray) -> np.ndarray:
+        some = np.flatnonzero(importance)
+        light = np.sum([part.predict(self._positions[some], directions[some]) for part in self._light.parts], axis=0)
+        found: np.ndarray = self.grid.spread(np.argwhere(self._mask(some)), light[np.argsort(self._places[some])])
+        return found[self._at]
+
+    def _mask(self, some: np.ndarray) -> np.ndarray:
+        mask = np.zeros(self.grid.shape, bool)
+        mask.reshape(-1)[self._places[some]] = True
+        return mask
+
+    def _ratio_estimate(
+        self, part: LightPart, guides: list[np.ndarray], directions: np.ndarray, importance: np.ndarray, most: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Light float32 (N, 3), and mean over the colours (nx, ny, nz) on the whole grid.
+
+        guides: float32 (cells,) each. Others: see the call.
+        """
+        guide = np.sum([one[self._places] for one in guides], axis=0)
+        chosen = _chosen(self._order, importance * np.maximum(guide, AMBIENT * guide.mean()), part.share * most)
+        light = part.predict(self._positions[chosen], directions[chosen])
+        grey, places = grey_of(light), self._places[chosen]
+        factors = _fitted(np.stack([one[places] for one in guides], axis=1).astype(np.float64), grey)
+        told = np.full(self.grid.shape, AMBIENT * max(float(grey.mean()), 1e-30), np.float32)
+        for factor, one in zip(factors.astype(np.float32), guides):
+            if factor > 0.0:
+                told.reshape(-1)[:] += factor * one
+        # Greys are averaged once.
+        colours = (
+            [] if np.array_equal(light[:, 0], light[:, 1]) and np.array_equal(grey, light[:, 2]) else list(light.T)
+        )
+        mean, *averages, base = self.grid.averaged(places, [grey, *colours, told.reshape(-1)[places]], SPARSE)
+        told /= np.maximum(base, np.float32(1e-30))
+        found = np.stack([(one * told).reshape(-1)[self._places] for one in averages or [mean] * 3], axis=1)
+        mean *= told
+        # What is predicted is known.
+        found[chosen], mean.reshape(-1)[places] = light, grey
+        return found, mean
 
 
-def light_at_points(
-    grid: PointGrid,
-    positions: np.ndarray,
-    marched: MarchedPoints,
-    importance: np.ndarray,
-    known: Sequence[KnownLight],
-    most: int,
-) -> np.ndarray:
-    """Light float32 (N, 3) at positions (N, 3) of points of a grid, predicted at about so many of them.
+def grey_of(light: np.ndarray) -> np.ndarray:
+    """Mean (...) over the colours of light (..., 3); numpy is slow to reduce an axis of length 3."""
+    mean: np.ndarray = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3.0)
+    return mean
 
-    importance: (N,). known: along other directions.
+
+def _chosen(order: np.ndarray, importance: np.ndarray, most: float) -> np.ndarray:
+    """Numbers of about so many points, by importance (N,), spread evenly in space.
+
+    order: (N,), of points along a space-filling curve (Morton). Every so much of the importance on it one is chosen.
     """
-    guides = np.column_stack([marched.guides, *(one.at(positions) for one in known), np.ones(len(positions))])
-    guides /= np.maximum(guides.mean(axis=0), 1e-30)
-    chosen = _chosen(positions, importance * np.maximum(guides.mean(axis=1), AMBIENT), most)
-    light = marched.predict(chosen)
-    grey = light.mean(axis=1)
-    told = product(guides, _fitted(guides[chosen], grey)) + AMBIENT * max(float(grey.mean()), 1e-30)
-    places = grid.places(positions)
-    # Greys are averaged once.
-    colours = [light[:, 0]] if np.ptp(light, axis=1).max() == 0.0 else list(light.T)
-    *averages, base = grid.averaged(places[chosen], [*colours, told[chosen]], SPARSE)
-    ratios = [(average / np.maximum(base, np.float32(1e-30))).reshape(-1)[places] for average in averages]
-    found = np.stack([ratio * told for ratio in ratios] * (3 // len(ratios)), axis=1).astype(np.float32)
-    # What is predicted is known.
-    found[chosen] = light
-    return found
-
-
-def _chosen(positions: np.ndarray, importance: np.ndarray, most: float) -> np.ndarray:
-    """Numbers of about so many points at positions (N, 3), by importance (N,), spread evenly in space.
-
-    Every so much of the importance along a space-filling curve (Morton) one is chosen.
-    """
-    order = np.argsort(_morton(positions))
     share = importance[order] / max(float(importance.sum()), 1e-30)
     total = np.cumsum(np.minimum(share * most, 1.0)) + PLASTIC[0]
     chosen = order[np.flatnonzero(np.diff(np.floor(total), prepend=0.0))]
-    return chosen if len(chosen) else order[:1]
+    return chosen if len(chosen) else order[importance[order].argmax()][None]
 
 
 def _morton(positions: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The voxels in which light is baked: as fine as the picture needs, and only those that a ray can see."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -170,6 +169,11 @@ class Visibility:
         x, y, z = (voxels // self.cell).T
         return self._extinction[x, y, z]
 
+    def openness(self, voxels: np.ndarray) -> np.ndarray:
+        """Mean transmittance (N,) of all directions from voxels int (N, 3) to the outside."""
+        mean: np.ndarray = np.tensordot(WEIGHTS, np.exp(-self.depths), 1)
+        return mean[tuple((voxels // self.cell).T)]
+
     def _in_voxels(self, cells: np.ndarray) -> np.ndarray:
         for axis, size in enumerate(self.shape):
             cells = cells.repeat(self.cell, axis).take(range(size), axis)
@@ -190,6 +194,9 @@ def block_means(values: np.ndarray, size: int) -> np.ndarray:
     """Means of blocks of size^3 values; blocks at the end are filled up with zeros."""
     if size == 1:
         return values
-    values = np.pad(values, [(0, -n % size) for n in values.shape])
-    parts: Sequence[int] = [part for n in values.shape for part in (n // size, size)]
-    return values.reshape(parts).mean(axis=(1, 3, 5), dtype=np.float32)
+    means = np.pad(values, [(0, -n % size) for n in values.shape]).astype(np.float32, copy=False)
+    for axis in range(3):
+        # Sums of slices: numpy is slow to reduce several short axes at once.
+        slices = [means[(slice(None),) * axis + (slice(first, None, size),)] for first in range(size)]
+        means = np.ascontiguousarray(sum(slices[1:], slices[0])) * np.float32(1.0 / size)
+    return means

@@ -5,12 +5,14 @@ Prediction goes from coarse lattices of voxels to fine ones. Where a prediction 
 next coarser lattice, or where hardly any light reaches the viewer, finer lattices are interpolated.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 # Distances of neighbours in the lattices, in voxels. The first two are predicted everywhere.
 STRIDES = (4, 2, 1)
+# The same for light of environments, which varies less.
+SKY_STRIDES = (8, *STRIDES)
 # Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
 TOLERANCE = 0.006
 # So few voxels are all predicted: their neighbours tell too little of how smooth their light is.
@@ -30,21 +32,22 @@ def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarra
 
 
 def radiance_in_voxels(
-    wanted: np.ndarray, importance: np.ndarray, predict: Callable[[np.ndarray], np.ndarray], interpolate: bool
+    wanted: np.ndarray, importance: np.ndarray, predict: Callable[[np.ndarray], np.ndarray], strides: Sequence[int]
 ) -> tuple[np.ndarray, int]:
     """Radiance float32 (nx, ny, nz, 3) in the wanted voxels, 0 in others, and the number of voxels predicted.
 
     wanted: bool (nx, ny, nz). importance: see `importance_of`. predict: radiance (3, N) of voxels int (N, 3).
-    interpolate: whether any voxels are interpolated.
+    strides: distances of neighbours in the lattices, as STRIDES; 1 alone where no voxel is interpolated.
     """
     predicted, values, error = 0, np.zeros((0, 0, 0, 3), np.float32), np.zeros((0, 0, 0), np.float32)
     known = np.zeros((0, 0, 0), bool)
-    interpolate = interpolate and np.count_nonzero(wanted) > FEW
-    for stride in STRIDES if interpolate else (1,):
+    if np.count_nonzero(wanted) <= FEW:
+        strides = (1,)
+    for stride in strides:
         here = wanted[::stride, ::stride, ::stride]
         between, near = _upsampled(values, known, here.shape)
         chosen = here.copy()
-        if interpolate and stride not in STRIDES[:2]:
+        if stride not in strides[:2]:
             counts = _block_maxima(importance, stride)
             grey = between.mean(axis=3)
             mean = float((counts * grey)[here].sum() / max(float((counts * near)[here].sum()), 1e-30))

@@ -106,16 +106,9 @@ class Estimator(Protocol):
         """Light (N,) that has scattered and arrives from ahead on the ray; None where it is not known."""
         return None
 
-    def guides(self, points: LitPoints) -> np.ndarray:
-        """What is known of the light at points before it is predicted: (N, C), at least 0.
-
-        The light is roughly a sum of these with factors of at least 0. Where rays have gathered no light, the share of
-        it that reaches the point from ahead and from behind.
-        """
-        if points.depths is None:
-            return np.ones((len(points.positions), 1))
-        reaching = np.exp(-points.depths[points.places].astype(np.float64))
-        return np.column_stack([np.ones(len(reaching)), reaching])
+    def unscattered(self, points: LitPoints) -> np.ndarray:
+        """Light (N,) that arrives at points without scattering, about; 1 where it is not known."""
+        return np.ones(len(points))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,13 +166,11 @@ class LightEstimator:
         features = self.features(points)
         return None if features is None else features[:, -1]
 
-    def guides(self, points: LitPoints) -> np.ndarray:
-        """As of Estimator: the light ahead, and that which reaches the point unscattered."""
+    def unscattered(self, points: LitPoints) -> np.ndarray:
+        """As of Estimator."""
         features, irradiance = self.features(points), np.broadcast_to(self.irradiance(points.positions), len(points))
-        if features is None:
-            return irradiance[:, None].astype(np.float64)
-        found = np.column_stack([np.exp(-features[:, 0]), features[:, 2:]]) * irradiance[:, None]
-        return found.astype(np.float64) * self.strength.mean()
+        reaching = 1.0 if features is None else np.exp(-features[:, 0])
+        return irradiance * reaching * float(self.strength.mean())
 
     def _asked(self, points: LitPoints) -> RayPoints:
         return RayPoints(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The light that one group of volumes scatters at any points, towards any direction."""
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -48,9 +49,12 @@ class GroupRadiance:
             if scene.environment_network is not None and returned is not None:
                 self._returned = asked.environments([returned])
         own = None if lamps is None else self._of_group(lamps, g)
-        self._march = None
+        self._march = self._begin = None
         if fluence is not None or own is not None:
-            self._march = self._prepare_march(None if fluence is None else fluence[g], own)
+            self._march, self._begin = (
+                self._prepare_march(None if fluence is None else fluence[g], own, at_start)
+                for at_start in (False, True)
+            )
         self._through = self._prepare_march(None, None)
 
     def _of_group(self, lamps: LampMarch, g: int) -> LampMarch:
@@ -63,7 +67,9 @@ class GroupRadiance:
         media = self._scene.media(self._channels, lit)
         return [media[v] for v in self._members]
 
-    def _prepare_march(self, fluence: ScatteredFluence | None, lamps: LampMarch | None) -> Marcher:
+    def _prepare_march(
+        self, fluence: ScatteredFluence | None, lamps: LampMarch | None, at_start: bool = False
+    ) -> Marcher:
         """Marches rays from points outwards through the group alone."""
         context, lit = self._context, fluence is not None
         # Every ray needs its features at its start, however faint it is.
@@ -74,6 +80,7 @@ class GroupRadiance:
             groups=[list(range(len(self._members)))],
             optimizations=context.settings.optimizations - {"faint_rays"},
             quadrature=entry_point,
+            at_start=at_start,
         )
         indices, stopping = self._channels.indices, context.tasks.stopping
         return Marcher(self._media(lit), options, indices, stopping, lamps)
@@ -84,13 +91,10 @@ class GroupRadiance:
         positions, directions: float64 (N, 3) in the world, points with density and unit directions of camera rays.
         Channels other than those asked for are 0. Raises Cancelled.
         """
-        return self.radiance(self.gathered(positions, directions), spans(len(positions)))
-
-    def radiance(self, points: LitPoints, parts: Sequence[np.ndarray | slice]) -> np.ndarray:
-        """As a call, (3, M) at some points, by number in parts of at most POINTS_PER_TASK."""
-        context = self._context
-        starts = np.cumsum([0, *(len(points.directions[part]) for part in parts)])
-        radiance = np.zeros((3, starts[-1]), np.float32)
+        context, parts = self._context, spans(len(positions))
+        points = self._gathered(positions, directions)
+        starts = [part.start for part in parts]
+        radiance = np.zeros((3, len(positions)), np.float32)
         for source in self._all:
             with context.report.stage("network"), context.progress.stage("network"):
                 for start, told in zip(starts, self._told(source, points, parts)):
@@ -101,12 +105,24 @@ class GroupRadiance:
                                 strength = np.float32(source.estimator.strength[c])
                                 radiance[c, start : start + len(values)] += values * strength
                     context.progress.advance("network", len(next(iter(told.values()), ())))
-            context.report.count("network points", starts[-1])
+            context.report.count("network points", len(positions))
         return radiance
 
-    def guides(self, points: LitPoints) -> np.ndarray:
-        """Of all estimators at points, (N, C); see there."""
-        return np.concatenate([source.estimator.guides(points) for source in self._all], axis=1)
+    @property
+    def parts(self) -> "tuple[GroupRadiance | None, GroupRadiance | None]":
+        """Of lights, and of environments, each None where there are none of these."""
+        found = []
+        for skies in (False, True):
+            part = copy.copy(self)
+            part.sources = [source for source in self.sources if source.estimator.needs_depths == skies]
+            part._returned = self._returned if skies else None
+            found.append(part if part._all else None)
+        return found[0], found[1]
+
+    def unscattered(self, positions: np.ndarray) -> np.ndarray:
+        """Light (N,) that arrives at world positions (N, 3) without scattering, about. Raises Cancelled."""
+        points = self._gathered(positions, np.broadcast_to([0.0, 0.0, 1.0], positions.shape).copy(), brief=True)
+        return np.sum([source.estimator.unscattered(points) for source in self._all], axis=0)
 
     @property
     def _all(self) -> list[Source]:
@@ -122,10 +138,11 @@ class GroupRadiance:
 
         return self._context.tasks.map(task, parts)
 
-    def gathered(self, positions: np.ndarray, directions: np.ndarray) -> LitPoints:
-        """Points with what estimators read of their rays, for `radiance`; the arguments are as for a call."""
+    def _gathered(self, positions: np.ndarray, directions: np.ndarray, brief: bool = False) -> LitPoints:
+        """Points with what estimators read of their rays; the arguments are as for a call."""
         points, count = LitPoints(positions, directions), len(positions)
-        if self._march is not None and count:
+        march = self._begin if brief else self._march
+        if march is not None and count and any(not source.estimator.needs_depths for source in self._all):
             # Where a ray meets no density, nothing lies ahead.
             suns, lamps = (
                 np.zeros((count, 1, lights, COLUMNS), np.float32)
@@ -139,7 +156,7 @@ class GroupRadiance:
                 if segment.lamps is not None and segment.lamps.features is not None:
                     lamps[ray] = segment.lamps.features.values
 
-            self._follow(self._march, positions, directions, keep)
+            self._follow(march, positions, directions, keep, brief)
             points = replace(points, suns=RayFeatures(suns), lamps=RayFeatures(lamps))
         if any(source.estimator.needs_depths for source in self._all):
             along = np.zeros((count, 2), np.float32)
@@ -159,13 +176,18 @@ class GroupRadiance:
         positions: np.ndarray,
         directions: np.ndarray,
         keep: Callable[[int, RaySegment], None],
+        brief: bool = False,
     ) -> None:
         """March rays outwards; keep: takes the number of the first ray and what each batch gathered."""
         context = self._context
         batch = rays_outwards(self._media(False), positions, directions)
+        if brief:
+            shortest = min(medium.grid.voxel for medium in self._media(False))
+            batch = replace(batch, far=np.minimum(batch.far, shortest))
 
         def task(span: slice) -> tuple[int, RaySegment]:
-            return span.start, march(batch.take(span))
+            rays = batch.take(span)
+            return span.start, march.march_steps(rays, np.ones(len(rays.near), int)) if brief else march(rays)
 
         with context.report.stage("march"), context.progress.stage("march"):
             for first, segment in context.tasks.map(task, spans(len(positions))):
