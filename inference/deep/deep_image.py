@@ -63,6 +63,14 @@ class DeepImage:
             image[pixel[some]] += (1.0 - image[pixel[some], 3:]) * self.rgba[some]
         return image.reshape(*self.counts.shape, 4).astype(np.float32)
 
+    def showing(self, rgb: np.ndarray) -> "DeepImage":
+        """The same with each pixel's colours scaled to show together rgb, float32 (H, W, 3), where they show any."""
+        flat = self.flat()[..., :3].reshape(-1, 3)
+        factors = np.where(flat > 0.0, rgb.reshape(-1, 3) / np.where(flat > 0.0, flat, 1.0), 1.0)
+        rgba = self.rgba.copy()
+        rgba[:, :3] *= np.repeat(factors, self.counts.ravel(), axis=0)
+        return DeepImage(self.counts, self.front, self.back, rgba)
+
     def _layers(self) -> Iterator[np.ndarray]:
         """Samples, by number, that are the first, second ... of their pixels."""
         counts = self.counts.ravel()

@@ -176,7 +176,7 @@ def _render(
         )
         parts.show_coarse(first)
     if groups:
-        # The opacity is the same in all of them; deep samples are those of all light.
+        # The opacity is the same in all of them. Deep samples are those of all light together.
         deep = settings.outputs & {"deep"}
         outputs = [settings.outputs - deep] + [frozenset()] * (len(groups) - 1)
         layer = sum_of_groups(
@@ -196,9 +196,10 @@ def _render(
         )
         if deep:
             last, settings = steps.picture(len(groups)), replace(settings, outputs=deep)
-            layer.deep = inference.render(
+            deep_layer = inference.render(
                 scene.volumes, scene.lights, scene.camera, settings, last, cancelled, cache, scene.surfaces
-            ).deep
+            )
+            layer.deep = deep_layer.deep.showing(layer.rgb) if deep_layer.deep else None
     else:
         for window, layer in inference.render_tiles(
             scene.volumes,
