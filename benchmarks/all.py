@@ -53,6 +53,7 @@ COMMANDS = (
     LAMPS,
     "benchmarks.cost.sparse",
     "benchmarks.cost.sky --voxels 64",
+    "gallery --compare 320 180 --docs",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
     "benchmarks.cycles.settings",
@@ -121,7 +122,7 @@ TABLES = {
     EEVEE: "baked-eevee",
     "benchmarks.cycles.baked_ways": "baked-ways",
 }
-PROGRAM, COMMIT = r"python\S*\s+-m\s+((?:benchmarks|training)[\w.]*\w)|run\.py (demo)", "[0-9a-f]{7,12}"
+PROGRAM, COMMIT = r"python\S*\s+-m\s+((?:benchmarks|training|gallery)(?:[\w.]*\w)?)|run\.py (demo)", "[0-9a-f]{7,12}"
 
 
 class Stamp(NamedTuple):

@@ -22,7 +22,6 @@ class Settings:
 
     depth_samples: network evaluations along a camera ray through an opaque medium, 1 to 512.
     model: name of the network, a file in inference/weights or a registered system.
-    blur_rays: rays per pixel that sample the lens, 2 to 256, where the camera has one.
     seed: of the jitter of lookups; equal seeds give equal images.
     threads: worker threads, 0 for one per core; the image does not depend on it.
     memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.
@@ -33,13 +32,13 @@ class Settings:
     directional: whether baked light is right from other directions than the camera's too.
     most_voxels: along the longest edge of a baked lattice, whose voxels are joined beyond; 0 for as many as there are.
     outputs: what the layer holds besides its colours, of OUTPUTS.
+    blur_rays: rays per pixel that sample the lens, 2 to 256, where the camera has one.
     optimizations: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
     """
 
     depth_samples: int = 4
-    blur_rays: int = 4
     model: str = "mrpnn"
     seed: int = 0
     threads: int = 0
@@ -51,6 +50,7 @@ class Settings:
     most_voxels: int = 0
     optimizations: frozenset[str] = ALL
     outputs: frozenset[str] = frozenset()
+    blur_rays: int = 4
 
     def __post_init__(self) -> None:
         for name, least, most in (

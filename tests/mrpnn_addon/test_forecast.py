@@ -153,7 +153,7 @@ def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
     assert 0.25 * taken < expected < 2.0 * taken
     # On twice as many threads it is estimated to take about half.
     scene.mrpnn.threads = 2 * (os.cpu_count() or 1)
-    assert 0.45 * expected < said().seconds < 0.75 * expected
+    assert 0.45 * expected < said().seconds < 0.8 * expected
 
 
 @pytest.mark.slow

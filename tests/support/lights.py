@@ -8,6 +8,7 @@ from inference.scene import (
     Camera,
     Cancelled,
     Environment,
+    Lens,
     Light,
     Medium,
     PointLight,
@@ -20,7 +21,7 @@ from inference.scene import (
     Volume,
 )
 
-NO_LIGHTS = {Camera, Cancelled, Light, Medium, SceneError, Settings, SparseGrid, Surface, Volume}
+NO_LIGHTS = {Camera, Cancelled, Lens, Light, Medium, SceneError, Settings, SparseGrid, Surface, Volume}
 
 
 def one_of_each():

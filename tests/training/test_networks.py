@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from inference.paper.rpnn_lattice import LEVELS, POINTS, SHAPE
+from training.rpnn.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 from inference.features.stencil import LOW_POINTS
 from inference.paper.phase_features import PhaseFeatures

@@ -272,7 +272,7 @@ def test_a_world_of_fog_alone_is_named_with_what_is_rendered(addon, scene):
     tree.links.new(
         tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], tree.get_output_node("CYCLES").inputs["Volume"]
     )
-    with pytest.raises(SceneError, match='World "World": its fog is not rendered; a large cube'):
+    with pytest.raises(SceneError, match='World "World": its fog is not rendered; use a large cube'):
         read(addon)
 
 
