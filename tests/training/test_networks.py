@@ -4,12 +4,12 @@
 import numpy as np
 import pytest
 import torch
-from training.rpnn.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 from inference.features.stencil import LOW_POINTS
 from inference.paper.phase_features import PhaseFeatures
 from training.data.stencil import load_stencil
 from training.networks import MRPNN, RPNN, MRPNNNarrow, MRPNNWide
+from training.rpnn.rpnn_lattice import LEVELS, POINTS, SHAPE
 
 COUNT = 9
 
