@@ -6,8 +6,8 @@
 Writes OUT/NAME.blend, its .vdb files in OUT/volumes and its picture OUT/NAME.png. With --compare it renders a smaller
 picture beside Cycles with 1024 bounces, denoised, in the same processor seconds. --reference measures both against two
 renders by Cycles of about so many processor seconds each. --docs puts pictures and figures into the docs, and writes
-the page. --templates makes OUT/mrpnn-gallery.zip of the scenes that are there: application templates, which Blender
-lists in File > New. Needs bpy.
+the page. --templates makes the scenes without pictures, and of them OUT/mrpnn-gallery.zip: application templates, which
+Blender lists in File > New. Needs bpy.
 """
 
 import argparse
@@ -69,7 +69,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--reference", type=float, default=0.0, metavar="SECONDS", help="of each half of a reference")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "gallery", help="folder to write to")
     parser.add_argument("--docs", action="store_true", help="put pictures and page into docs")
-    parser.add_argument("--templates", action="store_true", help="zip the scenes as application templates")
+    parser.add_argument("--templates", action="store_true", help="zip the scenes as application templates, without pictures")
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in SCENES]
     if unknown:
@@ -82,6 +82,8 @@ def main(arguments=None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     for name in options.names or SCENES:
         scene = make(name, out, options.detail)
+        if options.templates:
+            continue
         scene.render.resolution_x, scene.render.resolution_y = options.size
         kind = pictures.way(scene)
         _, seconds = pictures.ours(scene, out / f"{name}.png", out / "light" / name)
@@ -94,7 +96,7 @@ def main(arguments=None) -> int:
     if options.docs:
         page.write()
     if options.templates:
-        print(templates.pack(out))
+        print(templates.pack(out, options.names or SCENES))
     return 0
 
 
