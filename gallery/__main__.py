@@ -69,7 +69,9 @@ def main(arguments=None) -> int:
     parser.add_argument("--reference", type=float, default=0.0, metavar="SECONDS", help="of each half of a reference")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "gallery", help="folder to write to")
     parser.add_argument("--docs", action="store_true", help="put pictures and page into docs")
-    parser.add_argument("--templates", action="store_true", help="zip the scenes as application templates, without pictures")
+    parser.add_argument(
+        "--templates", action="store_true", help="zip the scenes as application templates, without pictures"
+    )
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in SCENES]
     if unknown:

@@ -5,8 +5,8 @@
 
 With a version, enters it wherever it is stated, and gives it and today's date to the changelog's section of unreleased
 changes. Then builds the zips into build/, the gallery's templates included, and the wheels and source distribution of
-mrpnn-kernels into wheels/, and writes build/SHA256SUMS. The same sources give the same bytes, but for the gallery: .blend
-files hold addresses of memory. Publishing them is left to a person: see docs/contribute/publishing.md.
+mrpnn-kernels into wheels/, and writes build/SHA256SUMS. The same sources give the same bytes, but for the gallery:
+.blend files hold addresses of memory. Publishing them is left to a person: see docs/contribute/publishing.md.
 """
 
 import argparse

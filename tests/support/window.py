@@ -3,8 +3,8 @@
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
 Screenshots are left in build/window; `python -m tests.windows.screenshots` makes those of docs/images. Those Blenders
-see the folder `work` of BLENDER_ROOTS as /mnt/work, the tools' convention; each has a folder of its own in it, which its
-code calls WORK, so that both can be driven at the same time.
+see the folder `work` of BLENDER_ROOTS as /mnt/work, the tools' convention; each has a folder of its own in it, which
+its code calls WORK, so that both can be driven at the same time.
 """
 
 import contextlib
