@@ -84,8 +84,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
             draw_text(
                 context,
                 layout,
-                f"{_number(expected.volumes, 'volume')}, {' + '.join(lights) or 'no light'}, "
-                f"{expected.pixels:,} pixels",
+                f"{_number(expected.volumes, 'volume')}, {' + '.join(lights) or 'no light'}",
                 "OUTLINER_DATA_VOLUME",
             )
             if not lights:

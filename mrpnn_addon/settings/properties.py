@@ -108,7 +108,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Number of render threads. 0 uses the number in the preferences",
     )
     memory_limit: IntProperty(
-        name="Memory (GiB)",
+        name="Memory Limit (GiB)",
         default=0,
         min=0,
         max=1024,

@@ -222,10 +222,11 @@ def opened(suite, extension):
     window.start()
     try:
         window.do(f"WORK = '{window.seen_work}'")
-        window.do(
+        said = window.do(
             "bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
-            "enable_on_install=True, overwrite=True)"
+            "enable_on_install=True, overwrite=True); print(hasattr(bpy.context.scene, 'mrpnn'))"
         )
+        assert said.endswith("True"), said + window.console[-2000:]
         yield window
     finally:
         window.stop()
