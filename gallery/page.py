@@ -37,9 +37,9 @@ volumes and the .blend files, so that each clone can make them:
     .venv/bin/python -m gallery noon
     .venv/bin/python -m gallery --templates
 
-The first command makes one scene and its picture, in `build/gallery`. The second makes all, and
-`build/gallery/mrpnn-gallery.zip`. Install that file from the menu of the Blender icon: *Install Application Template*.
-*File > New* then lists the scenes. Install [the extension](install.md) first.
+The first command makes one scene and its picture, in `build/gallery`. The second makes all scenes, and of them
+`build/gallery/mrpnn-gallery.zip`, which releases have, too. Install [the extension](install.md) first. Then install the
+zip from the menu of the Blender icon: *Install Application Template*. *File > New* lists the scenes.
 
 The smaller pictures compare with Cycles with 1024 bounces, denoised, in about the same processor seconds. Cycles has at
 least one sample per pixel, even where that takes longer. Errors are relative RMSE over the whole picture, in
