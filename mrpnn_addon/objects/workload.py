@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +10,8 @@ import numpy as np
 
 from ...inference.marching.ray_steps import MIN_VOXELS, STEP_GROWTH, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
-from ...inference.plan.lights import DIRECTIONS
-from ...inference.scene import Camera
+from ...inference.occluders.seen_surfaces import MAX_TRIANGLES, open_sky, vantage
+from ...inference.scene import Camera, Surface
 from ...inference.scene.camera_rays import image_rays, window_around
 
 # Fine steps per one that optical thickness asks for: cutting halves, and looks at blocks before it cuts them.
@@ -19,6 +20,14 @@ FINE_STEPS = 2.5
 FILLED = 0.1
 # Sample rays along each image axis.
 RAYS = 48
+# Corners, in Blender's order, of the triangles around a box.
+FACES = np.array(
+    [
+        (a, b, c)
+        for p, q, r, s in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (3, 2, 6, 7), (0, 3, 7, 4), (1, 2, 6, 5))
+        for a, b, c in ((p, q, r), (p, r, s))
+    ]
+)
 
 
 @dataclass
@@ -77,16 +86,10 @@ def estimate_workload(
     lights: int,
     samples: int,
     channels: int = 1,
-    surfaces: Sequence[np.ndarray] = (),
     **others: Any,
 ) -> Workload:
-    """The work of a render; boxes may overlap. surfaces: points (N, 3) around each surface, in the world. others:
-    further fields of the Workload.
-    """
+    """The work of a render; boxes may overlap. others: further fields of the Workload."""
     covered = pixels_around(boxes, camera)
-    if others.get("worlds") and _reach_into(surfaces, boxes):
-        # Such surfaces leave no sky that is alike to all of a volume: it becomes suns, and their own light the World.
-        lights += DIRECTIONS
     found = Workload(
         frozenset(box.name for box in boxes),
         int(covered.sum()),
@@ -94,7 +97,6 @@ def estimate_workload(
         lights=lights,
         samples=samples,
         channels=channels,
-        surfaces=bool(len(surfaces)),
         cells=tuple(box.cells for box in boxes),
         **others,
     )
@@ -138,14 +140,26 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
     return covered
 
 
-def _reach_into(surfaces: Sequence[np.ndarray], boxes: list[Box]) -> bool:
-    """Whether boxes around any surfaces, points (N, 3) each, and around any volumes overlap."""
-    volumes = [_corners(box) for box in boxes]
-    return any(
-        bool(np.all((points.min(axis=0) < corners.max(axis=0)) & (points.max(axis=0) > corners.min(axis=0))))
-        for points in surfaces
-        for corners in volumes
-    )
+def splits_sky(surfaces: Sequence[np.ndarray], triangles: int, boxes: list[Box], camera: Camera) -> bool:
+    """Whether volumes see such different parts of the sky that a render computes it as suns.
+
+    surfaces: corners (8, 3) in the world of the boxes around them, in Blender's order. triangles: of all of them.
+    """
+    if not (surfaces and boxes):
+        return False
+    if triangles > MAX_TRIANGLES:
+        return True
+    corners, around = np.concatenate([_corners(box) for box in boxes]), np.stack(surfaces)
+    eye = vantage([Surface(around[:, FACES])], corners, camera)
+    return eye is None or not _skies(around.tobytes(), corners.tobytes(), eye.tobytes())
+
+
+# Takes a tenth of a second, and most changes of a scene move neither surfaces nor volumes.
+@functools.lru_cache(8)
+def _skies(around: bytes, corners: bytes, eye: bytes) -> int:
+    """How many skies describe what volumes see of it; float64 arrays as in `splits_sky`."""
+    boxes, points, place = (np.frombuffer(values) for values in (around, corners, eye))
+    return len(open_sky([Surface(boxes.reshape(-1, 8, 3)[:, FACES])], points.reshape(-1, 3), place))
 
 
 def _corners(box: Box) -> np.ndarray:

@@ -110,15 +110,13 @@ class SceneDescription:
             return None
         return make_plan(self.volumes, self.lights, self.camera, settings, surfaces=self.surfaces)
 
-    def workload(self, depth_samples: int) -> Workload:
-        """The work of a render."""
+    def workload(self, depth_samples: int, suns: int | None = None) -> Workload:
+        """The work of a render. suns: as how many it computed the light, if it has ended."""
         boxes, channels = [box for box, _ in self.boxes], [channels for _, channels in self.boxes]
         lamps, worlds = len(self.lamps), len(self.environments)
-        lights = len(predicted_suns(merge_parallel(self.suns))) + lamps + worlds
-        surfaces = [surface.triangles.reshape(-1, 3) for surface in self.surfaces if len(surface.triangles)]
-        return estimate_workload(
-            boxes, self.camera, lights, depth_samples, max(channels), surfaces, lamps=lamps, worlds=worlds
-        )
+        lights = (len(predicted_suns(merge_parallel(self.suns))) if suns is None else suns) + lamps + worlds
+        others = {"surfaces": bool(self.opaque), "lamps": lamps, "worlds": worlds}
+        return estimate_workload(boxes, self.camera, lights, depth_samples, max(channels), **others)
 
     @property
     def lights(self) -> list[Sun | Lamp | Environment]:
