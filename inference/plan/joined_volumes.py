@@ -17,8 +17,8 @@ from .plan import SortedScene, attenuates, box_corners, emits
 # Voxels of a joined volume at most, bytes of each while a picture is rendered, and fraction of the memory limit that
 # they may take.
 MOST_VOXELS, VOXEL_BYTES, SHARE_OF_MEMORY = 1 << 26, 24, 0.25
-# Edge of its voxels in pixels where those of its members are smaller.
-PIXELS = 0.5
+# Edge of its voxels in pixels, and over that of its members' voxels: smaller ones would show nothing more.
+PIXELS, FINER = 0.5, 0.5
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,13 @@ def _joins(scene: SortedScene, members: list[int], camera: Camera, settings: Set
     finest = min(float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).min()) for volume in volumes)
     eye = camera.world_matrix[:3, 3]
     nearest = np.linalg.norm(np.clip(eye, low, high) - eye, keepdims=True)
+    wanted = max(PIXELS * float(pixel_size(camera, nearest)[0]), FINER * finest)
     # In octaves, so that the voxels stay the same while the camera moves.
-    times = 2.0 ** max(np.floor(np.log2(max(PIXELS * float(pixel_size(camera, nearest)[0]) / finest, 1.0))), 0.0)
-    edge = finest * float(times)
+    edge = finest * 2.0 ** float(np.floor(np.log2(wanted / finest)))
     most = min(MOST_VOXELS, SHARE_OF_MEMORY * settings.memory_limit / VOXEL_BYTES)
+    # The members' own voxels are good enough.
+    while np.prod((high - low) / edge) > most and edge < finest:
+        edge *= 2.0
     if np.prod((high - low) / edge) > most:
         return []
     return [Join(members, edge, f"{volumes[0].name} and {len(members) - 1} more")]
