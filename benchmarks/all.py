@@ -53,6 +53,7 @@ COMMANDS = (
     LAMPS,
     "benchmarks.cost.sparse",
     "benchmarks.cost.sky --voxels 64",
+    "benchmarks.cost.puffs",
     "gallery --compare 320 180 --reference 120 --docs",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
