@@ -85,7 +85,9 @@ def main():
     if arguments.measure:
         print(json.dumps(measure(arguments)), flush=True)
         return
-    print("| | covered | first frame | next frame | over one volume | MiB | changed by |\n|---|---|---|---|---|---|---|")
+    print(
+        "| | covered | first frame | next frame | over one volume | MiB | changed by |\n|---|---|---|---|---|---|---|"
+    )
     ways, found, pictures = ["one", *["apart"] * arguments.apart, "joined"], {}, {}
     with tempfile.TemporaryDirectory() as folder:
         for way in ways:

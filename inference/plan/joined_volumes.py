@@ -33,7 +33,8 @@ class Join:
 def find_joins(scene: SortedScene, camera: Camera, settings: Settings) -> list[Join]:
     """The volumes that become one: of a group, those that differ in density, albedo and strength alone."""
     # Lights are linked to volumes by name, and coverage tells volumes apart.
-    linked = any(light.receivers is not None for light in (*scene.lights, *scene.surfaces))
+    receivers = [*(light.receivers for light in scene.lights), *(surface.receivers for surface in scene.surfaces)]
+    linked = any(names is not None for names in receivers)
     if "joined_volumes" not in settings.optimizations or linked or "coverage" in settings.outputs:
         return []
     found = []
@@ -61,7 +62,7 @@ def _joins(scene: SortedScene, members: list[int], camera: Camera, settings: Set
     low, high = corners.min(axis=0), corners.max(axis=0)
     finest = min(float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).min()) for volume in volumes)
     eye = camera.world_matrix[:3, 3]
-    nearest = np.linalg.norm(np.clip(eye, low, high) - eye, keepdims=True)
+    nearest = np.array([np.linalg.norm(np.clip(eye, low, high) - eye)])
     wanted = max(PIXELS * float(pixel_size(camera, nearest)[0]), FINER * finest)
     # In octaves, so that the voxels stay the same while the camera moves.
     edge = finest * 2.0 ** float(np.floor(np.log2(wanted / finest)))
@@ -74,9 +75,7 @@ def _joins(scene: SortedScene, members: list[int], camera: Camera, settings: Set
     return [Join(members, edge, f"{volumes[0].name} and {len(members) - 1} more")]
 
 
-def with_joined(
-    scene: SortedScene, joins: Sequence[Join], joined: Sequence[tuple[Volume, Medium]]
-) -> SortedScene:
+def with_joined(scene: SortedScene, joins: Sequence[Join], joined: Sequence[tuple[Volume, Medium]]) -> SortedScene:
     """The scene in which one volume each stands at the place of the first member of each Join."""
     volumes, number = dict(enumerate(scene.volumes)), list(range(len(scene.volumes)))
     for join, pair in zip(joins, joined):
