@@ -246,7 +246,7 @@ typedef struct {
     double offset[3];
     int64_t points;              /* per voxel */
     const double *places;        /* (points, 3), in indices */
-    float *out;
+    float *out;                  /* zeros, which stay where there are none of the grid's values */
     int64_t strides[3];
 } Resampling;
 
