@@ -10,7 +10,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
 from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
-from ..points.group_radiance import GroupRadiance
+from ..points.group_radiance import STEPS_PER_POINT, GroupRadiance
 from ..render import prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
@@ -55,8 +55,6 @@ POINTS_PER_BATCH = 1 << 16
 MEAN_PREDICTIONS = 6000
 # Predictions of the light of environments, which is smooth, over those of lights.
 SKY_SHARE = 0.5
-# Steps of the ray that a point marches, about, for the progress.
-STEPS_PER_POINT = 60.0
 
 
 def bake(
@@ -225,16 +223,25 @@ class _Bake:
         parts = light.parts if smooth and self.scene.thrown_back is None else (light, None)
         for part, strides in zip(parts, (STRIDES, SKY_STRIDES)):
             if part is not None:
+                strides = strides if "smooth_light" in self._switches else (1,)
+                expected = expected_predictions(np.count_nonzero(wanted), strides)
 
                 def predict(voxels: np.ndarray, part: GroupRadiance = part) -> np.ndarray:
+                    nonlocal expected
+                    # Whatever is left of what is expected is taken back at the end.
+                    self._expect_more(part, max(len(voxels) - expected, 0.0))
+                    expected = max(expected - len(voxels), 0.0)
                     return self._predicted(part, lattice.positions(voxels))
 
-                if "smooth_light" not in self._switches:
-                    strides = (1,)
                 found, predicted = radiance_in_voxels(wanted, importance, predict, strides)
+                self._expect_more(part, -expected)
                 radiance += found
                 report.count("voxels predicted", predicted)
         return radiance
+
+    def _expect_more(self, light: GroupRadiance, points: float) -> None:
+        for stage, amount in light.work.items():
+            self.context.progress.expect_more(stage, amount * points)
 
     def _in_voxels(self, v: int, values: np.ndarray, grid: PointGrid, wanted: np.ndarray) -> np.ndarray:
         """Light (nx, ny, nz, 3) in the wanted voxels, from that on a coarse grid."""
