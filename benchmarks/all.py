@@ -54,7 +54,7 @@ COMMANDS = (
     "benchmarks.cost.sparse",
     "benchmarks.cost.sky --voxels 64",
     "benchmarks.cost.puffs",
-    "gallery --compare 320 180 --docs",
+    "gallery --compare 320 180 --reference 120 --docs",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
     "benchmarks.cycles.settings",

@@ -209,10 +209,10 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     settings, media = context.settings, scene.media(channels)
     near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
-    # Rays of several eyes share the depth samples of a pixel, and are not alike.
+    # Rays of several eyes share the depth samples of a pixel. They are alike: one on each would be in its middle always.
     shared = 1 if scene.eyes is None else max(scene.eyes.rays // 2, 1)
     options = MarchOptions(
-        -(-settings.depth_samples // shared),
+        max(-(-settings.depth_samples // shared), min(settings.depth_samples, 2)),
         fluence,
         scene.occluders.shadow_maps,
         scene.plan.groups,

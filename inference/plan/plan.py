@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..models.abilities import abilities
-from ..occluders.seen_surfaces import OpenSky, behind, open_sky, vantage
+from ..occluders.seen_surfaces import OpenSky, open_sky, vantage
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Surface, Volume
@@ -22,7 +22,6 @@ from ..scene.settings import Settings
 from .coarser import fitting_volumes
 from .joined_lamps import joined_lamps
 from .lights import (
-    SURFACES_SHADOW,
     PredictedSun,
     linked_lights,
     linking,
@@ -68,8 +67,7 @@ class SceneLights:
     """A scene's lights as they are computed.
 
     suns: those that contribute, parallel ones merged. environments: light from everywhere, without its peaks. sky: the
-    same as they are without surfaces; empty if none hides any of them. skies: as how many different ones places see
-    them. lamps: that emit light. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
+    same as they are without surfaces; empty if none hides any of them. lamps: that emit light. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
     predicted of at once. predicts_lamps: whether the network knows lamps. reflects: whether the light that surfaces
     send into volumes becomes one more environment. planned, left_out: sentences.
     """
@@ -77,7 +75,6 @@ class SceneLights:
     suns: list[Sun]
     environments: list[Environment]
     sky: list[Environment]
-    skies: int
     lamps: list[Lamp]
     lamp_clusters: list[list[list[int]]]
     predicts_lamps: bool
@@ -268,31 +265,28 @@ def sort_scene(
     )
 
 
-def see_sky(scene: SortedScene, camera: Camera, cancel: CancelToken = NEVER) -> list[OpenSky]:
-    """As `open_sky`, of the volumes, from where the camera sees them; empty where no surface hides an environment.
+def see_sky(scene: SortedScene, camera: Camera, cancel: CancelToken = NEVER) -> OpenSky | None:
+    """As `open_sky`, of the volumes, from where the camera sees them; None where no surface hides an environment.
 
     Raises Cancelled.
     """
     if not (scene.surfaces and scene.volumes and Families.of(scene.lights).environments):
-        return []
+        return None
     eye = vantage(scene.surfaces, scene.corners, camera)
-    return [] if eye is None else open_sky(scene.surfaces, scene.corners, eye, cancel)
+    return open_sky(scene.surfaces, scene.corners, eye, cancel)
 
 
-def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings) -> SceneLights:
-    """As what lights are computed; skies: of `see_sky`."""
+def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> SceneLights:
+    """As what lights are computed; sky: of `see_sky`."""
     planned: list[str] = []
     left_out: list[str] = []
     unhidden: list[Environment] = []
     surfaces = scene.surfaces
-    suns, environments = split_lights(
-        scene.lights, settings, SURFACES_SHADOW if surfaces and not skies else "", planned, left_out
-    )
-    if surfaces and environments:
-        seen = "the middle of the volumes sees it" if len(skies) == 1 else f"{len(skies)} places in the volumes see it"
-        planned += [f"{environment.name}: as {seen}" for environment in environments]
-        unhidden = environments
-        environments = [behind(environment, sky) for environment in unhidden for sky in skies]
+    suns, environments = split_lights(scene.lights, settings, planned, left_out)
+    if sky is not None and environments:
+        seen = "each point" if sky.visibility else "the middle"
+        planned += [f"{environment.name}: as {seen} of the volumes sees it" for environment in environments]
+        unhidden, environments = environments, [sky.behind(environment) for environment in environments]
     # Surfaces shadow each part of a soft sun differently.
     if surfaces or not abilities(settings.model).every_light or "soft_suns" not in settings.optimizations:
         suns = [replace(sun, part_of=None) for sun in suns]
@@ -328,7 +322,6 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         predicts_lamps=predicts_lamps,
         reflects=reflects_light(without_lamps(surfaces, scene.glowing), settings, planned, left_out),
         sky=unhidden,
-        skies=len(skies),
         planned=planned,
         left_out=left_out,
     )
@@ -343,9 +336,9 @@ def plan_tiles(
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
     groups = [[rendered[v][0] for v in group] for group in scene.groups]
     memory += field_bytes(groups, len(suns) + len(lights.lamps), lights.from_everywhere)
-    # Light of surfaces is one more sky beside others.
-    different = lights.skies + bool(lights.reflects and lights.environments)
-    memory += different * SKY_BYTES if different > 1 else 0
+    if lights.sky:
+        # That of surfaces, and that which they hide in places.
+        memory += 2 * SKY_BYTES
     memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
     memory += len(scene.groups) * len(suns) * abilities(settings.model).light_bytes
     depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)
