@@ -36,7 +36,7 @@ from .occluders.seen_surfaces import vantage
 from .outputs.requested import Outputs
 from .plan.joined_volumes import find_joins, with_joined
 from .plan.lights import without_lamps
-from .plan.plan import Channels, Plan, SortedScene, decide, plan_tiles, see_sky, sort_lights, sort_scene
+from .plan.plan import Channels, Plan, SortedScene, decide, fit_memory, see_sky, sort_lights, sort_scene
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
 from .runtime.cancellation import CancelToken
@@ -114,7 +114,7 @@ def _finished_parts(
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
             outputs = Outputs(settings.outputs, camera)
-            scene = prepare_scene(context, volumes, lights, camera, surfaces, joins=True)
+            scene = prepare_scene(context, volumes, lights, camera, surfaces, adapts=True)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             yield from _render_passes(context, scene, framebuffer, outputs)
@@ -241,20 +241,21 @@ def prepare_scene(
     lights: Sequence[Light],
     camera: Camera,
     surfaces: Sequence[Surface] = (),
-    joins: bool = False,
+    adapts: bool = False,
 ) -> PreparedScene:
     """Plan a scene and prepare what does not depend on the colour channel: the stages up to the coarse transport.
 
-    joins: whether volumes that overlap may become one.
+    adapts: whether volumes may become other ones that look about the same.
 
     Raises SceneError and Cancelled.
     """
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
     asked = sort_scene(volumes, lights, surfaces)
-    asked = _joined(context, asked, camera) if joins else asked
+    asked = _joined(context, asked, camera) if adapts else asked
     placed = sort_lights(asked, see_sky(asked, camera, cancel), settings)
     # Memory is refused before any is taken.
-    plan_tiles(asked, placed, placed.suns, camera, settings)
+    asked, coarser = fit_memory(asked, placed, camera, settings, adapts)
+    report.warn(coarser)
     with report.stage("shadows"):
         grids = cache.grids([volume for volume, _ in asked.volumes], cancel)
     with report.stage("surfaces"):
