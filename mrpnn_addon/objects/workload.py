@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
-import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +8,7 @@ import numpy as np
 
 from ...inference.marching.ray_steps import MIN_VOXELS, STEP_GROWTH, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
-from ...inference.occluders.seen_surfaces import MAX_TRIANGLES, open_sky, vantage
-from ...inference.scene import Camera, Surface
+from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, window_around
 
 # Fine steps per one that optical thickness asks for: cutting halves, and looks at blocks before it cuts them.
@@ -20,14 +17,6 @@ FINE_STEPS = 2.5
 FILLED = 0.1
 # Sample rays along each image axis.
 RAYS = 48
-# Corners, in Blender's order, of the triangles around a box.
-FACES = np.array(
-    [
-        (a, b, c)
-        for p, q, r, s in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (3, 2, 6, 7), (0, 3, 7, 4), (1, 2, 6, 5))
-        for a, b, c in ((p, q, r), (p, r, s))
-    ]
-)
 
 
 @dataclass
@@ -140,28 +129,6 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
         left, top, right, bottom = window_around(camera, _corners(box))
         covered[top - y0 : bottom - y0, left - x0 : right - x0] = True
     return covered
-
-
-def splits_sky(surfaces: Sequence[np.ndarray], triangles: int, boxes: list[Box], camera: Camera) -> bool:
-    """Whether volumes see such different parts of the sky that a render computes it as suns.
-
-    surfaces: corners (8, 3) in the world of the boxes around them, in Blender's order. triangles: of all of them.
-    """
-    if not (surfaces and boxes):
-        return False
-    if triangles > MAX_TRIANGLES:
-        return True
-    corners, around = np.concatenate([_corners(box) for box in boxes]), np.stack(surfaces)
-    eye = vantage([Surface(around[:, FACES])], corners, camera)
-    return eye is None or not _skies(around.tobytes(), corners.tobytes(), eye.tobytes())
-
-
-# Takes a tenth of a second, and most changes of a scene move neither surfaces nor volumes.
-@functools.lru_cache(8)
-def _skies(around: bytes, corners: bytes, eye: bytes) -> int:
-    """How many skies describe what volumes see of it; float64 arrays as in `splits_sky`."""
-    boxes, points, place = (np.frombuffer(values) for values in (around, corners, eye))
-    return len(open_sky([Surface(boxes.reshape(-1, 8, 3)[:, FACES])], points.reshape(-1, 3), place))
 
 
 def _count_groups(boxes: list[Box]) -> int:

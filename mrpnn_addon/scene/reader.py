@@ -27,8 +27,9 @@ from ..objects.camera import read_camera, read_views
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIAL, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
+from ..objects.motion import GoTo, read_shutters
 from ..objects.surfaces import VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
-from ..objects.views import View, in_one_file
+from ..objects.views import View, in_one_file, wanted_views
 from ..objects.visibility import (
     VisibleObject,
     hidden_from_camera,
@@ -135,6 +136,7 @@ def read_frame(
     reader: VolumeReader | None = None,
     check: Callable[[], None] = lambda: None,
     goes_on: bool = False,
+    go_to: GoTo | None = None,
 ) -> SceneDescription:
     """Read everything that a picture needs; bpy is not needed afterwards.
 
@@ -143,7 +145,8 @@ def read_frame(
 
     reader: has read volumes of this scene that have not changed since. check: called before each object; an exception
     that it raises stops the reading. goes_on: whether a frame without a volume is a picture for whatever reason, as in
-    animations; in a still it is one where volumes change in time.
+    animations; in a still it is one where volumes change in time. go_to: goes to frames at which the scene is looked at
+    for motion blur, and back; None for a picture without it.
 
     Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or in a still where no volume
     is left.
@@ -161,6 +164,8 @@ def read_frame(
         if shows_volume(hidden):
             description.unseen.append(str(problem))
         description.warnings += _refused(description, problem)
+    if go_to is not None:
+        _add_motion(description, depsgraph, go_to, check)
     panorama = camera.projection == "equirectangular"
     description.warnings += surface_warnings(description.opaque, panorama, composited(depsgraph.scene))
     if not description.volumes:
@@ -175,15 +180,31 @@ def read_frame(
     return description
 
 
+def _add_motion(
+    description: SceneDescription, depsgraph: "bpy.types.Depsgraph", go_to: GoTo, check: Callable[[], None]
+) -> None:
+    """Add what moves while the shutter is open. Raises as `read_shutters`."""
+    several = wanted_views(depsgraph.scene.render)
+    shutter, *shutters = read_shutters(depsgraph, [None, *several], go_to, check)
+    description.camera = replace(description.camera, shutter=shutter)
+    description.views = [
+        replace(view, camera=replace(view.camera, shutter=own))
+        for view, own in zip(description.views, shutters or [shutter])
+    ]
+
+
 def read_scene(
-    depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = None, check: Callable[[], None] = lambda: None
+    depsgraph: "bpy.types.Depsgraph",
+    reader: VolumeReader | None = None,
+    check: Callable[[], None] = lambda: None,
+    go_to: GoTo | None = None,
 ) -> SceneDescription:
     """As `read_frame`, for what needs light.
 
     Raises SceneError, with the reasons, also where no light is left, and where no volume is, unless all are empty in
     this frame.
     """
-    description = read_frame(depsgraph, reader, check)
+    description = read_frame(depsgraph, reader, check, go_to=go_to)
     if not description.volumes and not description.empty:
         require_volumes(description)
     require_light(description)

@@ -167,7 +167,7 @@ SURROUNDINGS = {
 
 @pytest.mark.parametrize("surroundings", SURROUNDINGS)
 def test_as_many_lights_are_expected_as_the_renderer_computes(addon, scene, cloud, said, surroundings):
-    """Surfaces split the World into suns, which take most of a render's time, or do not."""
+    """Each of them takes about as long, and surfaces must not be told to multiply them."""
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
     SURROUNDINGS[surroundings](scene)
     expected = said()
