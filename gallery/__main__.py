@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Make the gallery: scenes, pictures, and the page docs/use/gallery.md.
 
-    python -m gallery [noon dusk ...] [--size 960 540] [--detail 1] [--compare 320 180] [--out build/gallery] [--docs]
+    python -m gallery [noon dusk ...] [--size 960 540] [--detail 1] [--compare 320 180] [--reference 150] [--docs]
 
 Writes OUT/NAME.blend, its .vdb files in OUT/volumes and its picture OUT/NAME.png. With --compare it renders a smaller
-picture beside Cycles with 1024 bounces, denoised, in the same processor seconds. --docs puts pictures and figures into
-the docs, and writes the page. --templates makes OUT/mrpnn-gallery.zip of the scenes that are there: application
-templates, which Blender lists in File > New. Needs bpy.
+picture beside Cycles with 1024 bounces, denoised, in the same processor seconds. --reference measures both against two
+renders by Cycles of about so many processor seconds each. --docs puts pictures and figures into the docs, and writes
+the page. --templates makes the scenes without pictures, and of them OUT/mrpnn-gallery.zip: application templates, which
+Blender lists in File > New. Needs bpy.
 """
 
 import argparse
@@ -37,18 +38,26 @@ def compare(name: str, out: Path, options) -> dict:
     from . import pictures
 
     width, height = options.compare
-    found = []
-    for render in (pictures.ours, pictures.cycles):
+
+    def opened():
         bpy.ops.wm.open_mainfile(filepath=str(out / f"{name}.blend"))
         scene = bpy.context.scene
         scene.render.resolution_x, scene.render.resolution_y = width, height
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "picture.png"
-            found.append(render(scene, path, found[0][1] if found else Path(folder)))
-    (own, seconds), (other, others, samples) = found
+        return scene
+
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        paths = folder / "ours.png", folder / "cycles.png"
+        own, seconds = pictures.ours(opened(), paths[0], folder)
+        other, others, samples = pictures.cycles(opened(), paths[1], seconds)
+        figures = {"seconds": f"{seconds:.1f}", "Cycles' seconds": f"{others:.1f}", "Cycles' samples": str(samples)}
+        if options.reference:
+            halves = max(8, round(samples * options.reference / others))
+            errors = pictures.errors(opened(), paths, folder, halves)
+            figures |= {"error": errors[0], "Cycles' error": errors[1], "reference's samples": f"2 x {halves}"}
     captions = f"this extension, {seconds:.0f} processor seconds", f"Cycles, {others:.0f} processor seconds"
     row(list(zip(captions, (own, other))), height, 12).save(out / f"{name}-cycles.png")
-    return {"seconds": f"{seconds:.1f}", "Cycles' seconds": f"{others:.1f}", "Cycles' samples": str(samples)}
+    return figures
 
 
 def main(arguments=None) -> int:
@@ -57,9 +66,12 @@ def main(arguments=None) -> int:
     parser.add_argument("--size", type=int, nargs=2, default=(960, 540), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--detail", type=float, default=1.0, help="of the volumes: 0.5 for voxels of twice the size")
     parser.add_argument("--compare", type=int, nargs=2, metavar=("WIDTH", "HEIGHT"), help="size of pictures by Cycles")
+    parser.add_argument("--reference", type=float, default=0.0, metavar="SECONDS", help="of each half of a reference")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "gallery", help="folder to write to")
     parser.add_argument("--docs", action="store_true", help="put pictures and page into docs")
-    parser.add_argument("--templates", action="store_true", help="zip the scenes as application templates")
+    parser.add_argument(
+        "--templates", action="store_true", help="zip the scenes as application templates, without pictures"
+    )
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in SCENES]
     if unknown:
@@ -72,6 +84,8 @@ def main(arguments=None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     for name in options.names or SCENES:
         scene = make(name, out, options.detail)
+        if options.templates:
+            continue
         scene.render.resolution_x, scene.render.resolution_y = options.size
         kind = pictures.way(scene)
         _, seconds = pictures.ours(scene, out / f"{name}.png", out / "light" / name)
@@ -84,7 +98,7 @@ def main(arguments=None) -> int:
     if options.docs:
         page.write()
     if options.templates:
-        print(templates.pack(out))
+        print(templates.pack(out, options.names or SCENES))
     return 0
 
 

@@ -12,7 +12,8 @@ from .scenes import SCENES
 
 PAGE, PICTURES, TABLE = DOCS / "use" / "gallery.md", IMAGES / "gallery", TABLES / "gallery.csv"
 PICTURE_SECONDS, SAMPLES = "picture's seconds", "Cycles' samples"
-COLUMNS = ("scene", "way", "pixels", PICTURE_SECONDS, "seconds", "Cycles' seconds", SAMPLES, "made by")
+MEASURED = ("seconds", "Cycles' seconds", SAMPLES, "error", "Cycles' error", "reference's samples")
+COLUMNS = ("scene", "way", "pixels", PICTURE_SECONDS, *MEASURED, "made by")
 QUALITY = 88
 #: README's pictures in their order, the size of each and how many are side by side; and the steps of the workflow.
 SHEET = "storm", "dusk", "nebula", "inside", "milk", "stage", "fire", "fog", "noon", "explosion", "plume"
@@ -36,12 +37,13 @@ volumes and the .blend files, so that each clone can make them:
     .venv/bin/python -m gallery noon
     .venv/bin/python -m gallery --templates
 
-The first command makes one scene and its picture, in `build/gallery`. The second makes all, and
-`build/gallery/mrpnn-gallery.zip`. Install that file from the menu of the Blender icon: *Install Application Template*.
-*File > New* then lists the scenes. Install [the extension](install.md) first.
+The first command makes one scene and its picture, in `build/gallery`. The second makes all scenes, and of them
+`build/gallery/mrpnn-gallery.zip`, which releases have, too. Install [the extension](install.md) first. Then install the
+zip from the menu of the Blender icon: *Install Application Template*. *File > New* lists the scenes.
 
-Some pictures have a smaller one below, beside Cycles with 1024 bounces, denoised, in about the same processor seconds.
-Cycles has at least one sample per pixel, even where that takes longer.
+The smaller pictures compare with Cycles with 1024 bounces, denoised, in about the same processor seconds. Cycles has at
+least one sample per pixel, even where that takes longer. Errors are relative RMSE over the whole picture, in
+scene-linear values, against a longer render by Cycles without denoising.
 """
 
 
@@ -53,9 +55,8 @@ def enter(name: str, out: Path, figures: dict, arguments) -> None:
             with Image.open(path) as image:
                 image.convert("RGB").save(PICTURES / f"{path.stem}.jpg", quality=QUALITY, optimize=True)
     rows = {row["scene"]: row for row in read_csv(TABLE)} if TABLE.exists() else {}
-    known = {key: value for key, value in rows.get(name, {}).items() if value}
-    rows[name] = {**known, "scene": name, **figures, "made by": made_by("gallery", arguments)}
-    ordered = [[rows[key].get(column, "") for column in COLUMNS] for key in SCENES if key in rows]
+    rows[name] = {"scene": name, **figures, "made by": made_by("gallery", arguments)}
+    ordered = [[rows[key].get(column) or "" for column in COLUMNS] for key in SCENES if key in rows]
     replace(TABLE, csv_text([], COLUMNS, ordered))
 
 
@@ -73,7 +74,11 @@ def text() -> str:
             samples = f"{row[SAMPLES]} sample"
             samples += "" if samples.startswith("1 ") else "s"
             alt = f"{entry.title}: this extension, and Cycles with {samples}"
-            parts.append(f"![{alt}](../images/gallery/{name}-cycles.jpg)\n\nCycles has {samples} per pixel here.\n")
+            said = f"Cycles has {samples} per pixel here."
+            if row.get("error"):
+                own, other = (row[column].partition(" (")[0] for column in ("error", "Cycles' error"))
+                said += f" The error of this extension is {own}, and that of Cycles {other}."
+            parts.append(f"![{alt}](../images/gallery/{name}-cycles.jpg)\n\n{said}\n")
     parts.append("All figures are in [gallery.csv](../tables/gallery.csv), with the commands that made them.\n")
     return "\n".join(parts)
 
@@ -95,7 +100,12 @@ def steps() -> Image.Image:
     """The workflow in four screenshots, which tests of windows take."""
     from benchmarks.support.pictures import row
 
-    return row([(caption, Image.open(IMAGES / f"{name}.png")) for name, caption in STEPS.items()], 260, 15)
+    shown = []
+    for name, caption in STEPS.items():
+        picture = Image.open(IMAGES / f"{name}.png").convert("RGB")
+        # The panel's upper part, at a size that can be read.
+        shown.append((caption, picture.crop((0, 0, picture.width, 300)) if name == "panel" else picture))
+    return row(shown, 260, 15)
 
 
 def write() -> None:

@@ -5,7 +5,10 @@ import time
 from pathlib import Path
 
 import bpy
+import numpy as np
 from PIL import Image
+
+from evaluation.error import error_text, relative_rmse
 
 #: Cycles' samples for surfaces, and where it shows baked light.
 SURFACE_SAMPLES, BAKED_SAMPLES = 32, 16
@@ -38,8 +41,21 @@ def written(scene, path: Path) -> tuple[Image.Image, float]:
     start = time.process_time()
     bpy.ops.render.render(write_still=True)
     seconds = time.process_time() - start
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_depth = "OPEN_EXR", "32"
+    bpy.data.images["Render Result"].save_render(str(path.with_suffix(".exr")), scene=scene)
     with Image.open(path) as image:
         return image.convert("RGB"), seconds
+
+
+def radiance(path: Path) -> np.ndarray:
+    """Scene-linear values (H, W, 3) of the picture that `written` wrote to this path."""
+    image = bpy.data.images.load(str(path.with_suffix(".exr")))
+    width, height = image.size
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    bpy.data.images.remove(image)
+    return values.reshape(height, width, -1)[..., :3]
 
 
 def ours(scene, path: Path, light: Path) -> tuple[Image.Image, float]:
@@ -51,13 +67,19 @@ def ours(scene, path: Path, light: Path) -> tuple[Image.Image, float]:
     return image, before + seconds
 
 
-def cycles(scene, path: Path, seconds: float) -> tuple[Image.Image, float, int]:
-    """The picture by Cycles, denoised, in about so many processor seconds; with its own, and samples per pixel."""
+def set_cycles(scene):
+    """Let Cycles scatter as often as light does; gives its settings."""
     scene.render.engine, settings = "CYCLES", scene.cycles
-    settings.use_denoising, settings.use_adaptive_sampling = True, False
+    settings.use_denoising = settings.use_adaptive_sampling = False
     settings.max_bounces = settings.volume_bounces = BOUNCES
     settings.caustics_reflective = settings.caustics_refractive = False
-    settings.samples = 1
+    return settings
+
+
+def cycles(scene, path: Path, seconds: float) -> tuple[Image.Image, float, int]:
+    """The picture by Cycles, denoised, in about so many processor seconds; with its own, and samples per pixel."""
+    settings = set_cycles(scene)
+    settings.use_denoising, settings.samples = True, 1
     image, one = written(scene, path)
     if one >= seconds:
         return image, one, 1
@@ -68,3 +90,16 @@ def cycles(scene, path: Path, seconds: float) -> tuple[Image.Image, float, int]:
         settings.samples = samples
         image, three = written(scene, path)
     return image, three, settings.samples
+
+
+def errors(scene, candidates: list[Path], folder: Path, samples: int) -> list[str]:
+    """Relative RMSE of pictures that `written` wrote, against two halves of so many samples by Cycles, not denoised."""
+    settings, halves = set_cycles(scene), []
+    settings.samples, settings.sample_clamp_indirect = samples, 0.0
+    for seed in (1, 2):
+        settings.seed = seed
+        written(scene, folder / f"half-{seed}.png")
+        halves.append(radiance(folder / f"half-{seed}.png"))
+    everywhere = np.ones(halves[0].shape[:2], bool)
+    found = [relative_rmse(radiance(path), *halves, everywhere) for path in candidates]
+    return [error_text(one.value, one.low, one.high) for one in found]

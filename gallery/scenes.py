@@ -33,7 +33,11 @@ SCENES = {
     "fire": Entry("Fire", smoke.fire, "A blackbody by a grid of temperatures. Its light scatters in the smoke."),
     "explosion": Entry("Explosion", smoke.explosion, "A sequence of 24 files: render it as an animation."),
     "fog": Entry("Fog in a hall", rooms.fog, "Walls shade the fog. Composite over Cycles renders them."),
-    "stage": Entry("Stage", rooms.lights, "Seven coloured spots in haze, over a stage that Cycles renders."),
+    "stage": Entry(
+        "Stage",
+        rooms.lights,
+        "Seven coloured spots in haze, over a stage that Cycles renders.",
+    ),
     "milk": Entry("Milk in water", rooms.milk, "Baked light alone shows a volume behind a surface that refracts."),
     "nebula": Entry("Nebula", rooms.nebula, "Gas that glows, and dust around three stars."),
 }

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The gallery's scenes as application templates of Blender: one zip, a folder for each scene."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -36,14 +37,11 @@ def unregister():
 '''
 
 
-def pack(out: Path) -> Path:
-    """Zip the scenes of a folder that `make` filled: OUT/mrpnn-gallery.zip."""
+def pack(out: Path, names: Iterable[str]) -> Path:
+    """Zip scenes of a folder that `make` filled: OUT/mrpnn-gallery.zip."""
     files = {}
-    for name, entry in SCENES.items():
-        path = out / f"{name}.blend"
-        if not path.exists():
-            continue
-        folder = f"Volumes_{entry.title.replace(' ', '_')}"
+    for name in names:
+        path, folder = out / f"{name}.blend", f"Volumes_{SCENES[name].title.replace(' ', '_')}"
         files |= {f"{folder}/startup.blend": path.read_bytes(), f"{folder}/__init__.py": CODE.encode()}
         bpy.ops.wm.open_mainfile(filepath=str(path))
         for data in bpy.data.volumes:

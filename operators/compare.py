@@ -121,7 +121,7 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         for name in ("samples", "budget", "scale"):
             layout.prop(self, name)
         header, body = layout.panel("MRPNN_compare_settings", default_closed=True)
-        header.label(text="Settings")
+        header.label(text="Advanced")
         if body:
             for name in ("ladder", "denoised", "usual", "models", "bounces", "reference_path", "folder"):
                 body.prop(self, name)

@@ -4,16 +4,20 @@
     python3.11 run.py release [0.2.0]
 
 With a version, enters it wherever it is stated, and gives it and today's date to the changelog's section of unreleased
-changes. Then builds the zips into build/ and the wheels and source distribution of mrpnn-kernels into wheels/, and
-writes build/SHA256SUMS. The same sources give the same bytes. Publishing them is left to a person: see
-docs/contribute/publishing.md.
+changes. Then builds the zips into build/, the gallery's templates included, and the wheels and source distribution of
+mrpnn-kernels into wheels/, and writes build/SHA256SUMS. The same sources give the same bytes, but for the gallery:
+.blend files hold addresses of memory. Publishing them is left to a person: see docs/contribute/publishing.md.
 """
 
 import argparse
 import datetime
 import hashlib
 import re
+import shutil
+import subprocess
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import build_extension
@@ -61,6 +65,15 @@ def checksums(paths: list[Path]) -> str:
     return "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(ROOT)}\n" for path in paths)
 
 
+def build_gallery(number: str, arguments: Sequence[str] = (), folder: Path = ROOT / "build") -> Path:
+    """FOLDER/mrpnn-gallery-NUMBER.zip, the gallery's scenes as templates; in a process of its own, for bpy."""
+    with tempfile.TemporaryDirectory() as out:
+        command = [sys.executable, "-m", "gallery", "--templates", "--out", out, *arguments]
+        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        made = folder / f"mrpnn-gallery-{number}.zip"
+        return Path(shutil.move(Path(out) / "mrpnn-gallery.zip", made))
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python3.11 run.py release", description="Prepare a release.")
     parser.add_argument("version", nargs="?", help="the new version; that of blender_manifest.toml by default")
@@ -70,6 +83,7 @@ def main() -> int:
             set_version(new)
         date_changelog(new, datetime.date.today())
     zips = build_extension.build()
+    zips.append(build_gallery(new or version()))
     wheels = [ROOT / name for name in build_extension.manifest()["wheels"] if f"/{MODULE}-" in name]
     SUMS.write_text(checksums([*zips, *wheels, build_sdist(ROOT / "wheels")]))
     print(f"\n{SUMS.relative_to(ROOT)}:\n{SUMS.read_text()}")

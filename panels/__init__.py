@@ -21,7 +21,8 @@ from . import (
 from .text import tells_names
 
 # Blender draws panels in the order of their registration, parents first.
-_parent, *_children = render_panel.classes
+# What to know before rendering stands right below the buttons.
+_parent, _forecast, _plan, *_children = render_panel.classes
 MODULES = (
     view_layer_panel,
     object_panel,
@@ -35,6 +36,8 @@ MODULES = (
 CLASSES = (
     *preferences_panel.classes,
     _parent,
+    _forecast,
+    _plan,
     *composite_panel.classes,
     *light_bake_panel.classes,
     *flipbook_panel.classes,

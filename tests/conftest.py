@@ -5,7 +5,6 @@ Tests are quick unless marked `slow`. Those whose fixtures or imports need the b
 """
 
 import os
-import shutil
 import sys
 from collections import Counter
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 
 from tests.support.locks import locked
 from tests.support.paths import SHARED
-from tests.support.window import SCENE, SUITES, Window
+from tests.support.window import SCENE, SUITES, opened
 
 # How many tests of each kind this run leaves out.
 LEFT_OUT = pytest.StashKey[dict]()
@@ -187,21 +186,7 @@ def zip_of(zips, linux_zip):
 
 @pytest.fixture(scope="module", params=SUITES)
 def window(request, zip_of):
-    window = Window(request.param)
-    # Blender keeps a wheel of the same version, which an earlier run has installed with other kernels.
-    home = Path(os.environ["BLENDER_ROOTS"], request.param, "root", ".config", "blender")
-    for stale in home.glob("*/extensions/.local/lib/*/site-packages/mrpnn_kernels*"):
-        shutil.rmtree(stale)
-    shutil.copy(zip_of(request.param), window.work / "window.zip")
-    window.start()
-    try:
-        window.do(f"WORK = '{window.seen_work}'")
-        window.do(
-            "bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
-            "enable_on_install=True, overwrite=True)"
-        )
+    with opened(request.param, zip_of(request.param)) as window:
         made = window.do(SCENE)
         assert made.endswith("made"), made
         yield window
-    finally:
-        window.stop()

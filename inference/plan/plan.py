@@ -179,7 +179,7 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
     return merged
 
 
-def _corners(volume: Volume) -> np.ndarray:
+def box_corners(volume: Volume) -> np.ndarray:
     """Corners (8, 3) of a volume's box in the world."""
     ends = [(-0.5, n - 0.5) for n in volume.density.shape]
     index = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1).T
@@ -227,7 +227,7 @@ class SortedScene:
     @property
     def corners(self) -> np.ndarray:
         """Corners (N, 3) of the volumes' boxes in the world."""
-        return np.concatenate([_corners(volume) for volume, _ in self.volumes])
+        return np.concatenate([box_corners(volume) for volume, _ in self.volumes])
 
 
 def sort_scene(
@@ -253,7 +253,7 @@ def sort_scene(
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     names = [volume.name for volume, _ in rendered]
     names += [surface.name for surface in surfaces if surface.reflectance.any()]
-    glowing = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
+    glowing = mesh_lights(surfaces, np.concatenate([box_corners(volume) for volume, _ in rendered])) if rendered else []
     return SortedScene(
         volumes=rendered,
         groups=overlapping(rendered)[0],
@@ -293,7 +293,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
     if "faint_lamps" in settings.optimizations:
-        boxes = {volume.name: _corners(volume) for volume, _ in scene.volumes}
+        boxes = {volume.name: box_corners(volume) for volume, _ in scene.volumes}
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
         f"{len(joined.parts) - 1} of {len(joined.parts)} predictions of {joined.sun.name}: one for all of its parts"
@@ -305,7 +305,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
     if "distant_lamps" in settings.optimizations and len(lamps) > 1:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
-        clusters = [joined_lamps(lamps, others, {own.name: _corners(own) for own in group}) for group in members]
+        clusters = [joined_lamps(lamps, others, {own.name: box_corners(own) for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     if predicts_lamps:

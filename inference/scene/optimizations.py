@@ -41,7 +41,7 @@ OPTIMIZATIONS = {
         "Join Distant Lamps", "Multiple scattering of lamps from about the same direction is predicted once", 0.02
     ),
     "equal_channels": Optimization(
-        "Share Equal Extinction", "Colour channels of equal extinction share rays, lookup grids and network", ROUNDING
+        "Share Equal Extinction", "Color channels of equal extinction share rays, lookup grids and network", ROUNDING
     ),
     "equal_albedos": Optimization(
         "Share Equal Albedos", "Channels of equal albedo share the network's prediction, black ones need none", ROUNDING
@@ -51,7 +51,7 @@ OPTIMIZATIONS = {
     ),
     "faint_rays": Optimization("Adaptive Depth Samples", "Fewer depth samples where volumes are faint", 0.02),
     "shared_pixels": Optimization(
-        "Adaptive Interpolation", "Pixels interpolate multiple scattering where their neighbours agree", 0.02
+        "Adaptive Interpolation", "Pixels interpolate multiple scattering where their neighbors agree", 0.02
     ),
     "unseen_voxels": Optimization(
         "Skip Unseen Voxels", "Baked light is 0 where no ray reaches within an optical depth of 20", ROUNDING
@@ -65,6 +65,7 @@ OPTIMIZATIONS = {
     "soft_shadows": Optimization(
         "Average Soft Shadows", "The shadows of a lamp's parts are averaged once at voxels where rays are many", 0.02
     ),
+    "joined_volumes": Optimization("Join Overlapping Volumes", "Camera rays see one volume where many overlap", 0.03),
 }
 ALL = frozenset(OPTIMIZATIONS)
 # Optimizations that older files and command lines name, by number: nothing depends on them any more.

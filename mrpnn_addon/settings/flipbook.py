@@ -43,7 +43,7 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
                 "What other engines' materials often read. The first texture has alpha, the second emission",
             ),
         ],
-        description="Which light map each colour channel of the two textures holds",
+        description="Which light map each color channel of the two textures holds",
     )
     alpha: EnumProperty(
         name="Alpha",

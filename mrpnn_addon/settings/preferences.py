@@ -16,12 +16,12 @@ EXTENSION = __package__.rsplit(".", 2)[0]
 DEFAULT_THREADS, DEFAULT_MEMORY = 0, 8
 
 # Names and descriptions of `inference.network.provider.PROVIDERS`. Files store the numbers: append new ones.
-_OTHER = "; needs an onnxruntime built for it. Without one the network runs on the processor, with a warning"
+_OTHER = "; needs an onnxruntime built for it. Without one, the processor runs the network, with a warning"
 _PROVIDER_ITEMS = [
     ("CPU", "Processor", "Always available", 0),
     ("CUDA", "CUDA", f"NVIDIA GPUs{_OTHER}", 1),
     ("DIRECTML", "DirectML", f"GPUs on Windows{_OTHER}", 2),
-    ("COREML", "CoreML", f"macOS{_OTHER}", 3),
+    ("COREML", "CoreML", "Apple's graphics and neural processors, on macOS", 3),
     ("OPENVINO", "OpenVINO", f"Intel processors and GPUs{_OTHER}", 4),
 ]
 
@@ -51,10 +51,10 @@ class PreferenceProperties:
         description="Network that predicts multiple scattering, for scenes that do not choose one",
     )
     provider: EnumProperty(
-        name="Provider",
+        name="Device",
         items=_PROVIDER_ITEMS,
         default="CPU",
-        description="Hardware on which onnxruntime runs the network",
+        description="Hardware that runs the network",
     )
 
 

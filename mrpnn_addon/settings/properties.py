@@ -77,7 +77,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         min=2,
         max=256,
         soft_max=32,
-        description="Rays through each pixel where depth of field blurs the picture. More give less noise",
+        description="Rays through each pixel where depth of field or motion blur is on. More give less noise",
     )
     viewport_blur: BoolProperty(
         name="Blur in Viewport",
@@ -108,7 +108,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         description="Number of render threads. 0 uses the number in the preferences",
     )
     memory_limit: IntProperty(
-        name="Memory (GiB)",
+        name="Memory Limit (GiB)",
         default=0,
         min=0,
         max=1024,

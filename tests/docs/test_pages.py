@@ -78,7 +78,8 @@ def test_pages_are_short(part):
     assert counts and {name: count for name, count in counts.items() if count > PAGE_WORDS} == {}
 
 
-def test_sentences_of_the_interface_are_short(addon):
+def texts_of_the_interface(addon):
+    """Tooltips by class, property and choice."""
     texts = {}
     for cls in everything(addon):
         texts[f"{cls.__name__}"] = getattr(cls, "bl_description", "") or (cls.__doc__ or "")
@@ -89,8 +90,19 @@ def test_sentences_of_the_interface_are_short(addon):
             for item in items if isinstance(items, (list, tuple)) else ():
                 texts[f"{cls.__name__}.{name}: {item[0]}"] = item[2]
     assert len(texts) > 30
-    found = {name: too_long(text, SHORT) for name, text in texts.items() if isinstance(text, str)}
+    return {name: text for name, text in texts.items() if isinstance(text, str)}
+
+
+def test_sentences_of_the_interface_are_short(addon):
+    found = {name: too_long(text, SHORT) for name, text in texts_of_the_interface(addon).items()}
     assert {name: sentences for name, sentences in found.items() if sentences} == {}
+
+
+def test_the_interface_has_blenders_spelling(addon):
+    british = re.compile(r"colour|\bgrey|\bcentre|\bmetre|neighbour|behaviour|[a-z]ise\b|[a-z]isation", re.IGNORECASE)
+    likewise = re.compile(r"noise|precise|otherwise|likewise|raise|exercise|rise|wise", re.IGNORECASE)
+    found = {name: british.findall(likewise.sub("", text)) for name, text in texts_of_the_interface(addon).items()}
+    assert {name: words for name, words in found.items() if words} == {}
 
 
 @pytest.mark.parametrize("folder", ["inference", "evaluation", "mrpnn_addon", "operators", "panels"])

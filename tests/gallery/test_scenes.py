@@ -14,7 +14,7 @@ from tests.support.paths import ROOT
 bpy = pytest.importorskip("bpy")
 
 from benchmarks.support.pages import read_csv
-from gallery import page, pictures, scenes, templates
+from gallery import page, pictures, scenes
 from gallery.__main__ import make
 
 SIZE, DETAIL = (48, 27), 0.2
@@ -47,9 +47,11 @@ def test_scene_renders_without_other_warnings(addon, name, tmp_path):
     assert [text for text in said if not any(words in text for words in EXPECTED.get(name, ()))] == []
 
 
-def test_templates_find_their_volumes_where_they_are_installed(addon, tmp_path):
-    make("noon", tmp_path / "out", DETAIL)
-    packed = templates.pack(tmp_path / "out")
+def test_templates_find_their_volumes_where_they_are_installed(tmp_path):
+    run = [sys.executable, "-m", "gallery", "noon", "--templates", "--detail", str(DETAIL), "--out", tmp_path / "out"]
+    subprocess.run(run, cwd=ROOT, check=True)
+    assert not (tmp_path / "out" / "noon.png").exists()
+    packed = tmp_path / "out" / "mrpnn-gallery.zip"
     code = f"""
 import os, sys
 import bpy

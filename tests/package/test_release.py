@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tarfile
 import tomllib
+import zipfile
 
 import pytest
 
@@ -54,6 +55,17 @@ def test_checksums_can_be_checked(tmp_path):
     lines = release.checksums([ROOT / "LICENSE", ROOT / "docs" / "use" / "install.md"])
     (tmp_path / "SUMS").write_text(lines)
     subprocess.run(["sha256sum", "--check", "--quiet", tmp_path / "SUMS"], cwd=ROOT, check=True)
+
+
+@pytest.mark.slow
+def test_a_release_has_the_gallery_as_templates(tmp_path):
+    pytest.importorskip("bpy")
+    made = release.build_gallery(NEW, ["fog", "plume", "--detail", "0.2"], tmp_path)
+    assert made == tmp_path / f"mrpnn-gallery-{NEW}.zip"
+    with zipfile.ZipFile(made) as archive:
+        names = set(archive.namelist())
+    assert {"Volumes_Smoke/startup.blend", "Volumes_Smoke/__init__.py", "Volumes_Fog_in_a_hall/startup.blend"} <= names
+    assert len([name for name in names if name.startswith("Volumes_Smoke/volumes/")]) == 1
 
 
 def test_the_source_distribution_has_all_that_compiles_and_the_same_bytes_each_time(tmp_path):

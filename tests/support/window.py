@@ -2,12 +2,14 @@
 """A Blender with a window, driven by tests: Python in it, real mouse and keys, screenshots.
 
 MRPNN_WINDOWS names the suites (trixie, sid) that ../shared/blender/make has built in BLENDER_ROOTS.
-Screenshots are left in build/window, the source of those in docs/images. Those Blenders see the folder `work` of
-BLENDER_ROOTS as /mnt/work, the tools' convention; each has a folder of its own in it, which its code calls WORK, so
-that both can be driven at the same time.
+Screenshots are left in build/window; `python -m tests.windows.screenshots` makes those of docs/images. Those Blenders
+see the folder `work` of BLENDER_ROOTS as /mnt/work, the tools' convention; each has a folder of its own in it, which
+its code calls WORK, so that both can be driven at the same time.
 """
 
+import contextlib
 import os
+import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -206,3 +208,25 @@ class Window:
     def console(self):
         """Blender's console output so far."""
         return (self.run / "blender.log").read_text()
+
+
+@contextlib.contextmanager
+def opened(suite, extension):
+    """A running Blender of a suite with the extension of a zip."""
+    window = Window(suite)
+    # Blender keeps a wheel of the same version, which an earlier run has installed with other kernels.
+    home = Path(os.environ["BLENDER_ROOTS"], suite, "root", ".config", "blender")
+    for stale in home.glob("*/extensions/.local/lib/*/site-packages/mrpnn_kernels*"):
+        shutil.rmtree(stale)
+    shutil.copy(extension, window.work / "window.zip")
+    window.start()
+    try:
+        window.do(f"WORK = '{window.seen_work}'")
+        said = window.do(
+            "bpy.ops.extensions.package_install_files(filepath=WORK + '/window.zip', repo='user_default', "
+            "enable_on_install=True, overwrite=True); print(hasattr(bpy.context.scene, 'mrpnn'))"
+        )
+        assert said.endswith("True"), said + window.console[-2000:]
+        yield window
+    finally:
+        window.stop()
