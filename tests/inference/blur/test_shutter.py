@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, Motion, SceneError, Settings, Shutter, Sun, Volume, render
+from inference import Camera, Lens, Medium, Motion, SceneError, Settings, Shutter, Sun, Volume, render
 from inference.blur.eyes import find_eyes
 from inference.blur.shutter import camera_at, matrix_at, shutter_times
 
@@ -159,3 +159,29 @@ def test_a_volume_that_moves_with_the_camera_is_as_sharp_as_one_that_stands_stil
     for name in ("alpha", "single", "multiple", "depth"):
         a, b = getattr(found, name), getattr(expected, name)
         assert np.allclose(a, b, atol=2e-3 * np.nanmax(np.where(np.isfinite(b), b, 0.0)), equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    "case", ["1e6 voxels", "1e-9 voxels", "past the camera", "behind it", "through zero, almost", "lens in it"]
+)
+def test_extreme_motion_leaves_sound_pictures(case):
+    volume, medium = ball()
+    medium, camera = replace(medium, sigma_t=2000.0, albedo=np.full(3, 0.9)), replace(CAMERA, shutter=Shutter())
+    voxel = 0.2 / 24
+    ends = {
+        "1e6 voxels": [at(-1e6 * voxel), at(1e6 * voxel)],
+        "1e-9 voxels": [at(-1e-9 * voxel), at(1e-9 * voxel)],
+        "through zero, almost": [at(scale=1e-6), at(scale=1e3)],
+    }.get(case, [at(), at()])
+    if case in ("past the camera", "behind it"):
+        ends[1][2, 3] = 4.0
+    if case == "behind it":
+        ends[0][2, 3] = 3.0
+    if case == "lens in it":
+        camera = replace(camera, world_matrix=np.eye(4), lens=Lens(0.05, 0.05), shutter=Shutter([at(), at(0.3)]))
+    moving = replace(volume, motion=Motion(ends, np.eye(4)))
+    found = render([(moving, medium)], [Sun((0.3, 0.2, 1.0), 1.0)], replace(camera, resolution=(24, 24)))
+    for image in (found.rgb, found.alpha, found.multiple, found.uncertainty):
+        assert np.isfinite(image).all() and image.min() >= 0.0
+    assert found.alpha.max() <= 1.0 + 1e-6
+    assert found.alpha.max() > 0.0 or case in ("1e6 voxels", "behind it")
