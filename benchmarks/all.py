@@ -54,6 +54,7 @@ COMMANDS = (
     LAMPS,
     "benchmarks.cost.sparse",
     "benchmarks.cost.sky --voxels 64",
+    "benchmarks.cost.puffs",
     "gallery --compare 320 180 --reference 120 --docs",
     "tests.windows.screenshots",
     "benchmarks.cost.viewport",

@@ -33,8 +33,9 @@ from .occluders.depth_buffer import DepthBuffer, eye_distances
 from .occluders.occluders import NO_OCCLUDERS, Occluders, find_occluders
 from .occluders.seen_surfaces import vantage
 from .outputs.requested import Outputs
+from .plan.joined_volumes import find_joins, with_joined
 from .plan.lights import without_lamps
-from .plan.plan import Channels, Plan, decide, plan_tiles, see_sky, sort_lights, sort_scene
+from .plan.plan import Channels, Plan, SortedScene, decide, plan_tiles, see_sky, sort_lights, sort_scene
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
 from .runtime.cancellation import CancelToken
@@ -112,7 +113,7 @@ def _finished_parts(
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
             outputs = Outputs(settings.outputs, camera)
-            scene = prepare_scene(context, volumes, lights, camera, surfaces)
+            scene = prepare_scene(context, volumes, lights, camera, surfaces, joins=True)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             yield from _render_passes(context, scene, framebuffer, outputs)
@@ -208,10 +209,10 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     settings, media = context.settings, scene.media(channels)
     near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
-    # Rays of several eyes share the depth samples of a pixel, and are not alike.
+    # Rays of several eyes share the depth samples of a pixel. They are alike: one on each would be in its middle always.
     shared = 1 if scene.eyes is None else max(scene.eyes.rays // 2, 1)
     options = MarchOptions(
-        -(-settings.depth_samples // shared),
+        max(-(-settings.depth_samples // shared), min(settings.depth_samples, 2)),
         fluence,
         scene.occluders.shadow_maps,
         scene.plan.groups,
@@ -239,13 +240,17 @@ def prepare_scene(
     lights: Sequence[Light],
     camera: Camera,
     surfaces: Sequence[Surface] = (),
+    joins: bool = False,
 ) -> PreparedScene:
     """Plan a scene and prepare what does not depend on the colour channel: the stages up to the coarse transport.
+
+    joins: whether volumes that overlap may become one.
 
     Raises SceneError and Cancelled.
     """
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
     asked = sort_scene(volumes, lights, surfaces)
+    asked = _joined(context, asked, camera) if joins else asked
     placed = sort_lights(asked, see_sky(asked, camera, cancel), settings)
     # Memory is refused before any is taken.
     plan_tiles(asked, placed, placed.suns, camera, settings)
@@ -296,6 +301,14 @@ def prepare_scene(
         lamps=lamps,
     )
     return _with_light_of_surfaces(context, scene, surfaces)
+
+
+def _joined(context: RenderContext, scene: SortedScene, camera: Camera) -> SortedScene:
+    """The scene in which many volumes that overlap are one. Raises Cancelled."""
+    joins = find_joins(scene, camera, context.settings)
+    wanted = [([scene.volumes[v] for v in join.members], join.name, join.edge) for join in joins]
+    with context.report.stage("shadows"):
+        return with_joined(scene, joins, context.cache.joined(wanted, context.cancel))
 
 
 def _shadows(

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid, Voxels
-from .grids.merge import merge
+from .grids.merge import join, merge
 from .grids.working_cube import fit_cube
 from .marching.lamp_in_media import LampInMedia, lamp_key, place_lamp
 from .marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
@@ -53,6 +53,7 @@ class RenderCache:
         self._lamps: list[tuple[Sequence[Grid], LampInMedia]] = []
         self._mean_depths: dict[tuple[bytes, float], tuple[Grid, MeanLampDepth]] = {}
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
+        self._joined: list[tuple[float, Members, tuple[Volume, Medium]]] = []
         self._predictors: dict[int, VolumePredictor] = {}
         self._instances: weakref.WeakValueDictionary[Hashable, VolumePredictor] = weakref.WeakValueDictionary()
         self._emission: dict[int, tuple[Members, ScatteredEmission]] = {}
@@ -149,6 +150,23 @@ class RenderCache:
                 known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, self._instances.get(key))
                 self._predictors[number] = self._instances[key] = known
             return ScatteringGroup(volume, medium, known)
+
+    def joined(
+        self, wanted: Sequence[tuple[Members, str, float]], cancel: CancelToken = NEVER
+    ) -> list[tuple[Volume, Medium]]:
+        """As `join`, of some volumes each; wanted: volumes, the name and the edge of voxels of each."""
+        with cancel.locked(self._lock):
+            found = []
+            for members, name, edge in wanted:
+                alike = (known for known in self._joined if known[0] == edge and _same_members(known[1], members))
+                known = next(alike, None)
+                if known is None:
+                    voxels = {volume.voxels_key: Voxels(volume) for volume, _ in members}
+                    grids = [Grid(volume, voxels[volume.voxels_key]) for volume, _ in members]
+                    known = edge, members, join(grids, [medium for _, medium in members], name, edge, cancel)
+                found.append(known)
+            self._joined = found
+            return [pair for _, _, pair in found]
 
     def scattered_emission(
         self,

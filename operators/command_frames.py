@@ -8,6 +8,7 @@ from collections.abc import Callable
 import bpy
 
 from ..inference.scene import SceneError
+from ..mrpnn_addon.scene.kept_frame import goes_to
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame, require_all
 from .console import Console
 
@@ -54,8 +55,10 @@ def frame_reader(options: argparse.Namespace, frames: list[int]) -> Callable[[in
 
     def read(frame: int) -> SceneDescription:
         # Even for the current frame: an override may change what is evaluated.
-        bpy.context.scene.frame_set(frame)
-        description = read_frame(bpy.context.evaluated_depsgraph_get(), goes_on=len(frames) > 1)
+        go_to = goes_to(bpy.context.scene)
+        go_to(frame, 0.0)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        description = read_frame(depsgraph, goes_on=len(frames) > 1, go_to=go_to)
         if options.strict:
             require_all(description)
         return description

@@ -14,6 +14,7 @@ from ..mrpnn_addon.engine.render_job import Finished, RenderJob, render_scene
 from ..mrpnn_addon.output.layer_image import IMAGE_NAME, show_in_image
 from ..mrpnn_addon.runtime.background import Worker
 from ..mrpnn_addon.runtime.text import report
+from ..mrpnn_addon.scene.kept_frame import goes_to
 from ..mrpnn_addon.scene.reader import read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
 from ..mrpnn_addon.status.last_render import LastRender, remember, remember_finished
@@ -44,7 +45,7 @@ class MRPNN_OT_render(RunsWorkers, bpy.types.Operator):
         started = time.perf_counter()
         try:
             self._finished = render_scene(
-                read_frame(context.evaluated_depsgraph_get()),
+                read_frame(context.evaluated_depsgraph_get(), go_to=goes_to(context.scene)),
                 scene_settings(context.scene).settings(),
                 self._exr_path(context.scene),
                 started=started,
@@ -74,7 +75,7 @@ class MRPNN_OT_render(RunsWorkers, bpy.types.Operator):
             if self._loading.worker is not None:
                 return self._loading.worker
         # The scene may change from here on.
-        found = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
+        found = read_frame(context.evaluated_depsgraph_get(), self._loading.reader, go_to=goes_to(context.scene))
         self._loading = None
         return RenderJob(found, scene_settings(context.scene).settings(), exr_path, self._started)
 

@@ -179,7 +179,7 @@ class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):
 
 
 class MRPNN_PT_blur(_RenderPanel, bpy.types.Panel):
-    bl_label = "Depth of Field"
+    bl_label = "Blur"
     bl_parent_id = "MRPNN_PT_render"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -187,6 +187,27 @@ class MRPNN_PT_blur(_RenderPanel, bpy.types.Panel):
         settings, column = scene_settings(context.scene), _split(self.layout)
         column.prop(settings, "blur_rays")
         column.prop(settings, "viewport_blur")
+
+
+class MRPNN_PT_motion_blur(_RenderPanel, bpy.types.Panel):
+    bl_label = "Motion Blur"
+    bl_parent_id = "MRPNN_PT_render"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: "bpy.types.Context") -> bool:
+        """Other engines have a panel of their own for it."""
+        return context.engine == MRPNNRenderEngine.bl_idname
+
+    def draw_header(self, context: "bpy.types.Context") -> None:
+        self.layout.prop(context.scene.render, "use_motion_blur", text="")
+
+    def draw(self, context: "bpy.types.Context") -> None:
+        render, column = context.scene.render, _split(self.layout)
+        column.active = render.use_motion_blur
+        column.prop(render if hasattr(render, "motion_blur_position") else context.scene.cycles, "motion_blur_position")
+        column.prop(render, "motion_blur_shutter")
+        self.layout.template_curve_mapping(render, "motion_blur_shutter_curve")
 
 
 class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
@@ -287,6 +308,7 @@ classes = (
     MRPNN_PT_plan,
     MRPNN_PT_film,
     MRPNN_PT_blur,
+    MRPNN_PT_motion_blur,
     MRPNN_PT_performance,
     MRPNN_PT_exr,
     MRPNN_PT_cycles,

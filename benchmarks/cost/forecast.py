@@ -79,6 +79,13 @@ def floor(scene: "bpy.types.Scene") -> None:
     grey(scene)
 
 
+def ground(scene: "bpy.types.Scene") -> None:
+    """A plane that cuts off the lowest part of the smoke's box."""
+    file(scene, SMOKE, Density=5.0)
+    bpy.ops.mesh.primitive_plane_add(size=10.0, location=(0.0, -1.4, 0.0), rotation=(math.pi / 2.0, 0.0, 0.0))
+    grey(scene)
+
+
 def cube_in_smoke(scene: "bpy.types.Scene") -> None:
     """As Quick Smoke makes it, on which the cube is what gives off smoke."""
     file(scene, SMOKE, Density=5.0)
@@ -107,6 +114,7 @@ SCENES: dict[str, Callable] = {
     "fog in a cube, three spots": lambda scene: [box(scene, 0.5), lamps(scene, "SPOT", 3)],
     "fog in a cube, grey World": lambda scene: [box(scene, 0.5), grey(scene)],
     "cloud over a floor, grey World": floor,
+    "smoke on the ground, grey World": ground,
     "cube in smoke, grey World": cube_in_smoke,
     "two clouds, a point lamp": two_clouds,
     "thick fog in a cube, an area lamp": lambda scene: [box(scene, 8.0), lamps(scene, "AREA", 1)],

@@ -73,7 +73,11 @@ def bake(
         with report.stage("total"):
             # Without a camera, no surface is known to hide a part of the volumes from it.
             seen = [replace(surface, covers=surface.covers and camera is not None) for surface in surfaces]
-            place = _NO_IMAGE if camera is None else replace(camera, resolution=(1, 1), region=None, lens=None)
+            place = (
+                _NO_IMAGE
+                if camera is None
+                else replace(camera, resolution=(1, 1), region=None, lens=None, shutter=None)
+            )
             if cache is None or "unchanged" not in settings.optimizations:
                 cache = RenderCache()
             report.kernels = load_kernels().name

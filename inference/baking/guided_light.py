@@ -45,9 +45,13 @@ class LightPart:
 
 @dataclass(frozen=True)
 class PointGrid:
-    """A grid of points, to which values at scattered positions are averaged. world_from_index: (4, 4)."""
+    """A grid of points, to which values at scattered positions are averaged.
+
+    stride: voxels of the lattice from one to the next. world_from_index: (4, 4).
+    """
 
     shape: tuple[int, ...]
+    stride: int
     world_from_index: np.ndarray
 
     @staticmethod
@@ -56,7 +60,7 @@ class PointGrid:
         frame = lattice.world_from_index.copy()
         frame[:3, :3] *= stride
         frame[:3, 3] = lattice.positions(np.full((1, 3), 0.5 * (stride - 1)))[0]
-        return PointGrid(tuple(-(-n // stride) for n in lattice.density.shape), frame)
+        return PointGrid(tuple(-(-n // stride) for n in lattice.density.shape), stride, frame)
 
     @property
     def spacing(self) -> float:
@@ -65,14 +69,15 @@ class PointGrid:
 
     def positions(self, places: np.ndarray) -> np.ndarray:
         """World positions (N, 3) of points int (N, 3)."""
-        return places @ self.world_from_index[:3, :3].T + self.world_from_index[:3, 3]
+        return product(places.astype(np.float64), self.world_from_index[:3, :3].T) + self.world_from_index[:3, 3]
 
-    def places(self, positions: np.ndarray) -> np.ndarray:
-        """The nearest point, by number (N,), of positions (N, 3)."""
-        inverse = np.linalg.inv(self.world_from_index)
-        index = np.rint(product(positions, inverse[:3, :3].T) + inverse[:3, 3]).astype(np.int64)
-        x, y, z = np.clip(index, 0, np.array(self.shape) - 1).T
-        return (x * self.shape[1] + y) * self.shape[2] + z
+    def nearest(self, other: "PointGrid") -> tuple[np.ndarray, ...]:
+        """Places in this grid that are nearest to all points of another of the same lattice, for `np.ix_`."""
+        ratio = other.stride / self.stride
+        return tuple(
+            np.clip(((np.arange(count) + 0.5) * ratio).astype(np.int64), 0, size - 1)
+            for count, size in zip(other.shape, self.shape)
+        )
 
     def averaged(self, places: np.ndarray, values: Sequence[np.ndarray], most: float) -> np.ndarray:
         """Means (K, nx, ny, nz) at all points of values, K of (N,), at places.
@@ -135,9 +140,7 @@ class KnownLight:
         """The same at the points of another grid."""
         if self.grid is grid:
             return self
-        positions = grid.positions(np.indices(grid.shape).reshape(3, -1).T)
-        light = self.light.reshape(-1)[self.grid.places(positions)]
-        return KnownLight(self.direction, grid, light.reshape(grid.shape).astype(np.float32))
+        return KnownLight(self.direction, grid, self.light[np.ix_(*self.grid.nearest(grid))].astype(np.float32))
 
 
 @dataclass(frozen=True)

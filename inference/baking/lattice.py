@@ -46,7 +46,7 @@ class BakeLattice:
 
     def positions(self, voxels: np.ndarray) -> np.ndarray:
         """World positions (N, 3) of the centres of voxels int (N, 3)."""
-        return voxels @ self.world_from_index[:3, :3].T + self.world_from_index[:3, 3]
+        return product(np.asarray(voxels, np.float64), self.world_from_index[:3, :3].T) + self.world_from_index[:3, 3]
 
     def voxels(self, positions: np.ndarray) -> np.ndarray:
         """The nearest voxels int (N, 3) of world positions (N, 3)."""

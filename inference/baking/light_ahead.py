@@ -7,8 +7,12 @@ and back, so that interpolation never accumulates.
 
 import numpy as np
 
+from ..kernels.library import call
+
 # Scales of extinction: forward scattering reaches further than direct light.
-SCALES = (1.0, 0.334)
+SCALES = np.array([1.0, 0.334], np.float32)
+# Rows of cells are padded to a multiple of this.
+LANES = 8
 
 
 def light_ahead(
@@ -21,52 +25,37 @@ def light_ahead(
     nz).
     """
     main = int(np.abs(index_direction).argmax())
-    values = np.moveaxis(np.concatenate([extinction[None], sources]), main + 1, 0)
-    count = len(values)
+    axes = [main, *(axis for axis in range(3) if axis != main)]
+    count, rows, columns = (extinction.shape[axis] for axis in axes)
     slopes = np.delete(index_direction, main) / index_direction[main]
-    half = np.float32(-0.5 / abs(index_direction[main]))
-    scales = np.array(SCALES, np.float32)[:, None, None] * half
     # Places of the first cells of each slice among the rays.
     offsets = -np.arange(count)[:, None] * slopes
     offsets -= np.floor(offsets.min(axis=0))
-    firsts = offsets.astype(int)
-    size = values.shape[2:] + firsts.max(axis=0) + 1
-    rays = np.zeros((len(sources), len(SCALES), *size), np.float32)
-    clear = np.ones(size, np.float32)
-    found = np.empty((count, len(sources), len(SCALES), *values.shape[2:]), np.float32)
-    through = np.empty((count, *values.shape[2:]), np.float32)
-    for k in range(count)[:: -1 if index_direction[main] > 0 else 1]:
-        fractions = (offsets[k] - firsts[k]).astype(np.float32)
-        here, there = (slice(first, first + n + 1) for first, n in zip(firsts[k], values.shape[2:]))
-        dense, *emitted = _to_rays(values[k], fractions)
-        share, source = np.exp(scales * dense), np.array(emitted)[:, None]
-        light = rays[..., here, there]
-        light -= source
-        light *= share
-        found[k] = _to_cells(light + source, fractions)
-        light *= share
-        light += source
-        clear[here, there] *= share[0]
-        through[k] = _to_cells(clear[here, there], fractions)
-        clear[here, there] *= share[0]
-    return np.moveaxis(found, 0, main + 2), np.moveaxis(through, 0, main)
-
-
-def _to_rays(values: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-    """Values (..., ny, nz) of cells at rays (..., ny + 1, nz + 1), which lie by fractions (2,) before them."""
-    f, g = fractions
-    wide = np.zeros((*values.shape[:-1], values.shape[-1] + 1), np.float32)
-    wide[..., :-1] = (1 - g) * values
-    wide[..., 1:] += g * values
-    found = np.zeros((*values.shape[:-2], values.shape[-2] + 1, wide.shape[-1]), np.float32)
-    found[..., :-1, :] = (1 - f) * wide
-    found[..., 1:, :] += f * wide
-    return found
-
-
-def _to_cells(values: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-    """Values (..., ny + 1, nz + 1) of rays at cells (..., ny, nz), which lie by fractions (2,) behind them."""
-    f, g = fractions
-    narrow = (1 - f) * values[..., :-1, :] + f * values[..., 1:, :]
-    found: np.ndarray = (1 - g) * narrow[..., :-1] + g * narrow[..., 1:]
-    return found
+    starts = offsets.astype(np.int64)
+    row = -(-(columns + 2) // LANES) * LANES
+    size = starts.max(axis=0) + [rows + 1, row]
+    sums = len(sources) * len(SCALES)
+    rays = np.zeros((sums + 1, *size), np.float32)
+    rays[-1] = 1.0
+    found = np.empty((sums + 1, *extinction.shape), np.float32)
+    call(
+        "sweep_ahead",
+        shape=np.array([count, rows, columns]),
+        strides=np.array([extinction.strides[axis] // extinction.itemsize for axis in axes]),
+        cells=extinction.size,
+        sign=1 if index_direction[main] > 0 else -1,
+        sources=len(sources),
+        scales=len(SCALES),
+        extinction=extinction,
+        light=sources,
+        scale=SCALES,
+        half_step=0.5 / abs(index_direction[main]),
+        row=row,
+        starts=starts,
+        fractions=(offsets - starts).astype(np.float32),
+        size=size,
+        rays=rays,
+        ahead=found,
+        scratch=np.zeros((len(sources) + 1 + sums + 1, rows + 2, row), np.float32),
+    )
+    return found[:-1].reshape(len(sources), len(SCALES), *extinction.shape), found[-1]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pinhole cameras that sample the lens of another camera.
+"""Pinhole cameras that sample the lens and the shutter of another camera.
 
-A camera that sees through one point of a thin lens is a pinhole camera whose window is shifted. Each
-pixel has rays of a few such eyes, and the pixels of a block have different ones, so that all eyes together sample the
-lens densely. Pixels that show what is blurred are joined afterwards (`reconstruction`).
+A camera that sees through one point of a thin lens at one time is a pinhole camera whose window is shifted. Each
+pixel has rays of a few such eyes, and the pixels of a block have different ones, so that all eyes together sample lens
+and shutter densely. Pixels that show what is blurred are joined afterwards (`reconstruction`).
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scene.camera import Camera, Lens
+from .shutter import camera_at, shutter_times
 
 #: Edge in pixels of the block within which all pixels have different eyes: a power of two.
 BLOCK = 4
@@ -18,10 +19,13 @@ BLOCK = 4
 
 @dataclass(frozen=True)
 class Eyes:
-    """cameras: E of them, without lens, those of each pixel of a block after another. rays: per pixel."""
+    """cameras: E of them, without lens and shutter, those of each pixel of a block after another. rays: per pixel.
+    times: (E,) of the shutter at which they see, from 0 to 1.
+    """
 
     cameras: list[Camera]
     rays: int
+    times: np.ndarray
 
     def of_pixels(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Numbers int (N, rays) of the eyes of pixels by column and row, int (N,)."""
@@ -37,16 +41,17 @@ class Eyes:
 
 
 def find_eyes(camera: Camera, rays: int) -> Eyes | None:
-    """The eyes of a camera with so many rays per pixel; None for one without a lens."""
-    if camera.lens is None:
+    """The eyes of a camera with so many rays per pixel; None for one without lens and shutter."""
+    if camera.lens is None and camera.shutter is None:
         return None
     count = BLOCK**2 * rays
-    u, v = _spread(count)
+    u, v, w = _spread(count)
     number = np.arange(count) % rays
     # Within the pixel: the rays of a pixel spread over its area.
     beside = np.stack([(number + 0.5) / rays - 0.5, _reversed_bits(number, rays) - 0.5], axis=1)
-    points = aperture_points(camera.lens, u, v)
-    return Eyes([_eye(camera, camera.lens, points[n], beside[n]) for n in range(count)], rays)
+    times = np.full(count, 0.5) if camera.shutter is None else shutter_times(camera.shutter, w)
+    points = np.zeros((count, 2)) if camera.lens is None else aperture_points(camera.lens, u, v)
+    return Eyes([_eye(camera_at(camera, times[n]), points[n], beside[n]) for n in range(count)], rays, times)
 
 
 def aperture_points(lens: Lens, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -70,14 +75,17 @@ def aperture_points(lens: Lens, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return lens.radius * points / [lens.ratio, 1.0]
 
 
-def _eye(camera: Camera, lens: Lens, point: np.ndarray, beside: np.ndarray) -> Camera:
-    """A camera through a point (2,) of its lens. beside: (2,) pixels, of rays from centres of pixels."""
+def _eye(camera: Camera, point: np.ndarray, beside: np.ndarray) -> Camera:
+    """A camera through a point (2,) of its lens, if any. beside: (2,) pixels, of rays from centres of pixels."""
+    lens = camera.lens
     if camera.projection == "equirectangular":
-        return replace(camera, lens=replace(lens, point=tuple(point)))
+        return replace(camera, lens=None if lens is None else replace(lens, point=tuple(point)))
     shift, matrix = np.array(camera.shift) + beside * [1.0, -1.0] / camera.resolution[0], camera.world_matrix.copy()
     axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
     matrix[:3, :3] = axes
     matrix[:3, 3] += axes[:, :2] @ point
+    if lens is None:
+        return replace(camera, world_matrix=matrix, shift=(float(shift[0]), float(shift[1])))
     if camera.projection == "perspective":
         shift = shift - point / (lens.focus * 2.0 * np.tan(0.5 * camera.fov))
     else:
@@ -97,14 +105,15 @@ def _places(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _spread(count: int) -> np.ndarray:
-    """Points (2, count) in the unit square: Sobol's sequence, whose runs of 4, 16 and 64 points are evenly spread."""
+    """Points (3, count) in the unit cube: Sobol's sequence, whose runs of 4, 16 and 64 points are evenly spread."""
     bits, number = 30, np.arange(count)
     first = [1] * bits
-    second = [1]
+    second, third = [1], [1, 3]
     for _ in range(bits):
         second.append(second[-1] ^ (second[-1] << 1))
-    points = np.zeros((2, count), np.int64)
-    for axis, odd in enumerate((first, second)):
+        third.append(third[-2] ^ (third[-2] << 2) ^ (third[-1] << 1))
+    points = np.zeros((3, count), np.int64)
+    for axis, odd in enumerate((first, second, third)):
         for k in range(count.bit_length()):
             points[axis] ^= np.where(number >> k & 1, odd[k] << (bits - 1 - k), 0)
     # In the middle of the intervals.

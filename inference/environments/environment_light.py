@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..grids.halving import halve
+from ..grids.working_cube import Cube
 from ..numerics.alike import alike_vector
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.environment import Environment, PlaceLattice, PlaceWeight, pixel_directions, pixel_solid_angles
+from ..scene.environment import DirectionWeight, Environment, PlaceLattice, pixel_directions, pixel_solid_angles
 from ..source_terms.cell_sources import EnteringLight
 from ..transport.discrete_ordinates import DiscreteOrdinates
 from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
@@ -29,6 +30,10 @@ ROWS = 64
 SHARPNESS, ROUNDS = 12.0 / 26.0, 30
 #: Albedos below 1 for which the transport is solved too: light that has scattered seldom.
 ALBEDOS = (0.98, 0.8)
+# Light, over its mean, that directions have at least which tell how much of it surfaces hide.
+LEAST_LIGHT = 1e-3
+# Cells along an edge of the faces of a cube through which light of skies enters that surfaces hide.
+FACE = 32
 # Images with fewer rows than this are divided before they are turned, and such with more reduced.
 TURNED_ROWS = 192
 # Skies in use, by the frame and the environments that they keep alive.
@@ -39,14 +44,16 @@ _skies: "weakref.WeakValueDictionary[tuple, Skies]" = weakref.WeakValueDictionar
 class Skies:
     """Light from everywhere, of which places see different shares.
 
-    image: float64 (ROWS, 2 ROWS, S C), radiance of S skies of C channels. weights: of the S skies. environments: whose
-    sum they are.
+    image: float64 (ROWS, 2 ROWS, S C), radiance of S skies of C channels. rotation: (3, 3), of their frame. weights: of
+    the S skies. environments: whose sum they are.
     """
 
     image: np.ndarray
-    weights: tuple[PlaceWeight | PlaceLattice | None, ...]
+    rotation: np.ndarray
+    weights: tuple[PlaceLattice | DirectionWeight | None, ...]
     environments: tuple[Environment, ...] = ()
     _blurred: dict[tuple[float, ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
+    _light_parts: dict[tuple[int, int], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, environments: Sequence[Environment], rotation: np.ndarray) -> "Skies":
@@ -59,7 +66,7 @@ class Skies:
         images = [image_in_frame([e for e in environments if e.weight == weight], rotation) for weight in weights]
         channels = max(image.shape[2] for image in images)
         images = [np.broadcast_to(image, (*image.shape[:2], channels)) for image in images]
-        made = _skies[key] = cls(np.concatenate(images, axis=2), weights, tuple(environments))
+        made = _skies[key] = cls(np.concatenate(images, axis=2), rotation, weights, tuple(environments))
         return made
 
     @property
@@ -86,8 +93,60 @@ class Skies:
 
     def shares(self, positions: np.ndarray) -> np.ndarray:
         """Those of the skies, float32 (N, S), at world positions (N, 3)."""
-        ones = np.ones(len(positions), np.float32)
-        return np.stack([ones if weight is None else weight(positions) for weight in self.weights], axis=1)
+        shares = np.ones((len(positions), len(self.weights)), np.float32)
+        for share, weight in zip(shares.T, self.weights):
+            if isinstance(weight, PlaceLattice):
+                share[:] = weight(positions)
+        return shares
+
+    def visible(self, positions: np.ndarray) -> np.ndarray | None:
+        """Share float32 (S, N, 50) of the light from DIRECTIONS that surfaces let through to world positions (N, 3).
+
+        None where they hide nothing.
+        """
+        if not self.hidden:
+            return None
+        visible = np.ones((len(self.weights), len(positions), len(DIRECTIONS)), np.float32)
+        visible[self.hidden] = [self._visible(number, positions, len(DIRECTIONS)) for number in self.hidden]
+        return visible
+
+    @functools.cached_property
+    def hidden(self) -> list[int]:
+        """Numbers of the skies that surfaces hide in places."""
+        return [
+            number
+            for number, weight in enumerate(self.weights)
+            if weight is not None and not isinstance(weight, PlaceLattice)
+        ]
+
+    def _visible(self, sky: int, positions: np.ndarray, number: int) -> np.ndarray:
+        """Share float32 (N, D) of a sky's light that reaches positions (N, 3), as for `visible` of D directions."""
+        weight = self.weights[sky]
+        assert weight is not None and not isinstance(weight, PlaceLattice)
+        key = sky, number
+        if key not in self._light_parts:
+            directions = product(weight.directions, self.rotation)
+            shares = np.full(len(directions), 1.0 / len(directions))
+            # The light of each pixel counts for the nearest of the directions.
+            nearest = product(pixel_directions(ROWS).reshape(-1, 3), directions.T).argmax(axis=1)
+            light = self.image[..., sky * self.channels : (sky + 1) * self.channels].mean(axis=2)
+            light = np.bincount(nearest, (light * pixel_solid_angles(ROWS)).ravel(), len(directions))
+            parts = _balanced(*_sphere(number), directions, shares) * (light + LEAST_LIGHT * light.mean() + 1e-30)
+            self._light_parts[key] = (parts / parts.sum(axis=1, keepdims=True)).T.astype(np.float32)
+        return product(weight.towards(positions), self._light_parts[key])
+
+    def entering(self, radiance: np.ndarray, cube: Cube) -> list[EnteringLight]:
+        """The light of S C channels that enters a cube; radiance: (26, S C), of `ordinate_radiance`."""
+        each, shell = np.reshape(radiance, (len(ORDINATES), len(self.weights), -1)), np.ones((FACE,) * 3, bool)
+        shell[1:-1, 1:-1, 1:-1] = False
+        positions, entering = cube.world((np.argwhere(shell) + 0.5) / FACE - 0.5), []
+        for number in range(len(self.weights)):
+            visible = None
+            if number in self.hidden:
+                visible = np.ones((len(ORDINATES), *shell.shape), np.float32)
+                visible[:, shell] = self._visible(number, positions, len(ORDINATES)).T
+            entering += [EnteringLight(channel, visible) for channel in each[:, number].T / (4.0 * np.pi)]
+        return entering
 
 
 def image_in_frame(environments: Sequence[Environment], rotation: np.ndarray) -> np.ndarray:
@@ -165,12 +224,23 @@ def _parts(rows: int, number: int) -> np.ndarray:
 
     Sums are 1 for each of them, and for each pixel, weighted as they are, its share of the sphere.
     """
-    towards, weights = (ORDINATES, ORDINATE_WEIGHTS) if number == len(ORDINATES) else (DIRECTIONS, DIRECTION_WEIGHTS)
-    directions = pixel_directions(rows).reshape(-1, 3)
     solid_angle = np.broadcast_to(pixel_solid_angles(rows), (rows, 2 * rows)).ravel() / (4.0 * np.pi)
-    parts = np.exp(SHARPNESS * number * (product(towards, directions.T) - 1.0)) * solid_angle
+    return _balanced(*_sphere(number), pixel_directions(rows).reshape(-1, 3), solid_angle)
+
+
+def _sphere(number: int) -> tuple[np.ndarray, np.ndarray]:
+    """The 26 ordinates or 50 directions, and their shares of the sphere."""
+    return (ORDINATES, ORDINATE_WEIGHTS) if number == len(ORDINATES) else (DIRECTIONS, DIRECTION_WEIGHTS)
+
+
+def _balanced(towards: np.ndarray, weights: np.ndarray, directions: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Weights (D, P) of P directions, of shares (P,) of the sphere, in the light around D ones, of shares (D,).
+
+    Sums are 1 for each of the D, and for each of the P, weighted with those, its share.
+    """
+    parts = np.exp(SHARPNESS * len(towards) * (product(towards, directions.T) - 1.0)) * shares
     for _ in range(ROUNDS):
-        parts *= solid_angle / (weights[:, None] * parts).sum(axis=0)
+        parts *= shares / (weights[:, None] * parts).sum(axis=0)
         parts /= parts.sum(axis=1, keepdims=True)
     return parts
 
@@ -194,27 +264,39 @@ def solve_environment(
     coarse: np.ndarray,
     sigma_hat: float,
     anisotropy: float,
-    radiance: np.ndarray,
+    entering: Sequence[EnteringLight],
+    triangles: np.ndarray | None = None,
     cancel: CancelToken = NEVER,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lattices of the fluence and flux over 4 pi of an environment's light, as `environment_lattice`.
 
     First of its C channels. Then, on cells twice as large, of a medium of each of ALBEDOS, with the C channels and even
     light of radiance 1: (34, 34, 34, 4 ALBEDOS (C + 1)). coarse: a level of the density pyramid, float32 (x, y, z).
-    sigma_hat: extinction per unit density times the cube's edge. radiance: (26, C), from the ordinates. Raises
-    Cancelled.
+    sigma_hat: extinction per unit density times the cube's edge. entering: radiance over 4 pi of each channel.
+    triangles: (T, 3, 3), in the cube's frame, of surfaces that end the light of channels which are not visible
+    everywhere, or None. Raises Cancelled.
     """
-    light = np.asarray(radiance).T / (4.0 * np.pi)
-    even = np.full((1, len(ORDINATES)), 1.0 / (4.0 * np.pi))
-    solver = DiscreteOrdinates(coarse, sigma_hat, anisotropy)
-    solved = np.stack([solver.solve(EnteringLight(channel), cancel) for channel in light], axis=1)
+
+    def solve(density: np.ndarray, albedo: float, channels: Sequence[EnteringLight]) -> list[np.ndarray]:
+        """Fluence and flux (4, n, n, n) of each channel."""
+        solvers: dict[bool, DiscreteOrdinates] = {}
+        solved = []
+        for channel in channels:
+            hidden = channel.visible is not None
+            if hidden not in solvers:
+                ends = triangles if hidden else None
+                solvers[hidden] = DiscreteOrdinates(density, sigma_hat, anisotropy, ends, albedo)
+            boundaries, light = solvers[hidden].boundaries, solvers[hidden].solve(channel, cancel)
+            if boundaries is not None and boundaries.inside.any():
+                light = np.stack([boundaries.extrapolate_inside(values) for values in light]).astype(np.float32)
+            solved.append(light)
+        return solved
+
+    even, light = EnteringLight(np.full(len(ORDINATES), 1.0 / (4.0 * np.pi))), solve(coarse, 1.0, entering)
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
     halve(np.ascontiguousarray(coarse), coarser)
-    absorbed = []
-    for albedo in ALBEDOS:
-        solver = DiscreteOrdinates(coarser, sigma_hat, anisotropy, albedo=albedo)
-        absorbed += [solver.solve(EnteringLight(channel), cancel) for channel in np.concatenate([light, even])]
-    return environment_lattice(solved), environment_lattice(np.stack(absorbed, axis=1))
+    absorbed = [values for albedo in ALBEDOS for values in solve(coarser, albedo, [*entering, even])]
+    return environment_lattice(np.stack(light, axis=1)), environment_lattice(np.stack(absorbed, axis=1))
 
 
 def reaching(

@@ -2,6 +2,7 @@
 """Several overlapping volumes as one medium."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,19 +24,20 @@ def merge(
     media: Sequence[Medium],
     name: str,
     cancel: CancelToken = NEVER,
+    edge: float | None = None,
 ) -> tuple[Volume, Medium]:
     """Volume and Medium with the extinction of several volumes, and their mean albedo and mean cosine.
 
-    grids: Grid of each volume. Voxels are those of the finest grid, or the smallest
-    multiple of them that leaves at most 256 along an edge. The extinction is exact for grey media; for others each
-    colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering;
+    grids: Grid of each volume. Voxels are those of the finest grid, or the smallest multiple of them that leaves at
+    most 256 along an edge; or their shortest edges are `edge`, in world units. The extinction is exact for grey media;
+    for others each colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering;
     where albedos differ or vary, the volume holds its scattering. Raises Cancelled.
     """
     finest = min(grids, key=lambda grid: grid.voxel)
     # Corners of all grids as indices of the finest.
     ends = np.concatenate([finest.index(grid.corners()) for grid in grids])
     low, high = np.floor(ends.min(axis=0)), np.ceil(ends.max(axis=0))
-    together = int(np.ceil((high - low + 1.0).max() / LEVEL0_CELLS))
+    together = float(np.ceil((high - low + 1.0).max() / LEVEL0_CELLS)) if edge is None else edge / finest.voxel
     low = np.floor(low / together).astype(int)
     shape = np.ceil((high + 1.0) / together).astype(int) - low
     world_from_index = np.eye(4)
@@ -78,6 +80,26 @@ def merge(
     return Volume(density, world_from_index, name, scattering=tuple(scattering)), medium
 
 
+def join(
+    grids: Sequence[Grid], media: Sequence[Medium], name: str, edge: float, cancel: CancelToken = NEVER
+) -> tuple[Volume, Medium]:
+    """One Volume and Medium in place of several that differ in density, albedo, strength and emission alone.
+
+    As `merge`, with their emission. Raises Cancelled.
+    """
+    volume, medium = merge(grids, media, name, cancel, edge)
+    emission = None
+    if any(grid.emission for grid in grids):
+        emission = np.zeros((*volume.density.shape, 3), np.float32)
+        for grid, own in zip(grids, media):
+            for c, channel in enumerate(grid.emission):
+                placed = volume.world_from_index, np.array(volume.density.shape)
+                reached, values = _resampled_part(grid, channel, *placed, cancel, grid.emission_power)
+                emission[..., c][reached] += np.float32(own.emission) * values
+    volume = Volume(volume.density, volume.world_from_index, name, emission, scattering=volume.scattering)
+    return volume, replace(medium, anisotropy=media[0].anisotropy, phase=media[0].phase)
+
+
 def resampled(
     grid: Grid,
     values: DenseGrid | SparseGrid,
@@ -89,8 +111,8 @@ def resampled(
     """Values of a Grid at the voxels of another: float32 of `shape`.
 
     values: the grid's density, or a channel of its emission. world_from_index: (4, 4) transform of the other grid.
-    power: of the values. Takes the interpolant at voxel centres, or the mean of 2 x 2
-    x 2 points per voxel where those are the larger voxels. Raises Cancelled.
+    power: of the values. Takes the interpolant at voxel centres, or the mean of 2 x 2 x 2 points per voxel where those
+    are larger than the volume's own. Raises Cancelled.
     """
     out = np.zeros(shape, np.float32)
     reached, found = _resampled_part(grid, values, world_from_index, shape, cancel, power)
@@ -113,7 +135,9 @@ def _resampled_part(
     back = (grid.corners() - world_from_index[:3, 3]) @ inverse(world_from_index[:3, :3]).T
     low = np.clip(np.floor(back.min(axis=0)).astype(int), 0, shape)
     high = np.clip(np.ceil(back.max(axis=0)).astype(int) + 1, 0, shape)
-    points = np.zeros((1, 3)) if np.linalg.norm(linear, axis=0).max() < 1.5 else INNER @ linear.T
+    # Finer voxels than the volume's own hold nothing more.
+    longest = np.linalg.norm(linear, axis=0).max() / grid.voxels.times
+    points = np.zeros((1, 3)) if longest < 1.5 else INNER @ linear.T
     out = np.zeros(np.maximum(high - low, 0), np.float32)
     resample(values, power, grid.occupancy, Placement(linear, offset, points).beside(low), out, cancel)
     return tuple(map(slice, low, high)), out

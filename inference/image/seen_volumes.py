@@ -36,7 +36,7 @@ def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None
     sizes = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
     for n in np.flatnonzero(sizes > 0):
         left, top, right, bottom = windows[n] - [x0, y0, x0, y0]
-        if sizes[n] <= SMALL:
+        if sizes[n] <= SMALL or camera.projection == "equirectangular":
             shown[top:bottom, left:right] = True
             continue
         cells, corners = grids[n].support(detail)

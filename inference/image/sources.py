@@ -226,7 +226,7 @@ class AskedGroup:
         assert opened is not None
         with context.progress.stage("lattices", 1):
             predictor = opened.predictor.prepare_environment(
-                scene.environment_network, environments, self.sigma_t, context.tasks
+                scene.environment_network, environments, self.sigma_t, scene.occluders, context.tasks
             )
         context.cancel.check()
         albedos = opened.predictor.albedos(

@@ -34,6 +34,7 @@ FLAGS = (
 X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"}
 # Files that are compiled once for each kind of processor.
 VARYING = (
+    "ahead.c",
     "columns.c",
     "gather.c",
     "lamps.c",

@@ -64,6 +64,26 @@ typedef struct {
     float *depths;               /* (points, directions) */
 } OpenDepthSamples;
 
+/* Light that arrives at cells along a direction, for several sources and factors of extinction: light_ahead. */
+typedef struct {
+    int64_t shape[3];            /* cells along the axis that the direction follows most, and the others */
+    int64_t strides[3];          /* of cells, in all of the following */
+    int64_t cells;
+    int64_t sign;                /* of the direction along the first of the axes */
+    int64_t sources, scales;
+    const float *extinction;     /* (cells) */
+    const float *light;          /* (sources, cells) */
+    const float *scale;          /* (scales), factors of extinction */
+    double half_step;            /* length of half of a ray's way through a slice */
+    int64_t row;                 /* a multiple of 8, at least shape[2] + 2 */
+    const int64_t *starts;       /* (shape[0], 2), ray at which each slice begins, */
+    const float *fractions;      /* (shape[0], 2), and how far its cells lie behind the rays */
+    int64_t size[2];             /* of the plane of rays, at least the largest starts + (shape[1] + 1, row) */
+    float *rays;                 /* (sources * scales + 1, size[0], size[1]), light, 0 at first, and transmittance, 1 */
+    float *ahead;                /* (sources * scales + 1, cells), the same at the cells, filled */
+    float *scratch;              /* (sources * (scales + 1) + 2, shape[1] + 2, row), 0 */
+} LightAhead;
+
 /* Light along the directions that leave one side of the cells: DiscreteOrdinates._follow_steps. */
 typedef struct {
     int64_t cells;               /* n, along an edge */
@@ -226,7 +246,7 @@ typedef struct {
     double offset[3];
     int64_t points;              /* per voxel */
     const double *places;        /* (points, 3), in indices */
-    float *out;
+    float *out;                  /* zeros, which stay where there are none of the grid's values */
     int64_t strides[3];
 } Resampling;
 
@@ -362,6 +382,7 @@ typedef struct {
     X(sweep_columns, const ColumnSweep) \
     X(sweep_blocks, const BlockSweep) \
     X(sample_open_depths, const OpenDepthSamples) \
+    X(sweep_ahead, const LightAhead) \
     X(sweep_ordinates, const OrdinateSweep) \
     X(sweep_radiance, const RadianceSweep) \
     X(sweep_moments, const MomentSweep) \

@@ -192,41 +192,73 @@ int64_t NAMED(fill_lattice, VARIANT)(const LatticePart *part) {
     return part->shape[0];
 }
 
+/* Cut the voxels begin to end of a row to those that points of a grid's support may lie in. */
+static void cut_row(const Resampling *grid, const double *first, const double *reach, int64_t *begin, int64_t *end) {
+    double from = 0.0, to = (double)grid->shape[2];
+    for (int axis = 0; axis < 3; axis++) {
+        double slope = grid->linear[3 * axis + 2], low = -1.0 - reach[axis] - first[axis];
+        double high = (double)grid->grid.shape[axis] + reach[axis] - first[axis];
+        if (slope < 0.0) {
+            double swapped = low;
+            low = -high, high = -swapped, slope = -slope;
+        }
+        if (slope > 1e-12) {
+            from = low / slope > from ? low / slope : from, to = high / slope < to ? high / slope : to;
+        } else if (!(low <= 0.0 && high >= 0.0)) {
+            to = -1.0;
+        }
+    }
+    /* What rounding may add. */
+    *begin = from > 1.0 ? (int64_t)from - 1 : 0;
+    *end = to < 0.0 ? 0 : to + 2.0 < (double)grid->shape[2] ? (int64_t)to + 2 : grid->shape[2];
+}
+
 int64_t NAMED(resample, VARIANT)(const Resampling *grid) {
     const double *linear = grid->linear;
     float points = (float)grid->points;
+    /* Voxels of one point are filled together. */
+    int64_t together = grid->points == 1 ? LANES : 1;
+    double reach[3] = {0.0, 0.0, 0.0};
+    for (int64_t n = 0; n < 3 * grid->points; n++) {
+        double size = fabs(grid->places[n]);
+        reach[n % 3] = size > reach[n % 3] ? size : reach[n % 3];
+    }
     for (int64_t i = 0; i < grid->shape[0]; i++) {
         for (int64_t j = 0; j < grid->shape[1]; j++) {
             float *to = grid->out + i * grid->strides[0] + j * grid->strides[1];
-            for (int64_t k = 0; k < grid->shape[2]; k++) {
-                double centre[3];
-                float sum = 0.0f;
-                for (int axis = 0; axis < 3; axis++) {
-                    const double *row = linear + 3 * axis;
-                    centre[axis] = row[0] * (double)i + row[1] * (double)j + row[2] * (double)k + grid->offset[axis];
-                }
+            double first_of_row[3];
+            int64_t begin, end;
+            for (int axis = 0; axis < 3; axis++) {
+                const double *row = linear + 3 * axis;
+                first_of_row[axis] = row[0] * (double)i + row[1] * (double)j + grid->offset[axis];
+            }
+            cut_row(grid, first_of_row, reach, &begin, &end);
+            for (int64_t k = begin; k < end; k += together) {
+                float sums[LANES] = {0.0f};
                 for (int64_t first = 0; first < grid->points; first += LANES) {
                     Floats positions[3];
-                    Ints near;
+                    Ints near, used;
                     FOR_LANES(n) {
                         /* The last point again where there are no more. */
                         int64_t point = first + n < grid->points ? first + n : grid->points - 1;
-                        float position[3];
+                        double voxel = (double)(together > 1 ? k + n : k);
                         for (int axis = 0; axis < 3; axis++) {
-                            position[axis] = (float)(centre[axis] + grid->places[3 * point + axis]);
-                            positions[axis][n] = position[axis];
+                            double centre = first_of_row[axis] + linear[3 * axis + 2] * voxel;
+                            positions[axis][n] = (float)(centre + grid->places[3 * point + axis]);
                         }
-                        near[n] = first + n < grid->points && may_hold(&grid->occupancy, position) ? -1 : 0;
+                        used[n] = (together > 1 ? k + n < end : first + n < grid->points) ? -1 : 0;
                     }
+                    Longs cells = cells_around(&grid->occupancy, positions);
+                    FOR_LANES(n) near[n] = used[n] && !grid->occupancy.clearance[cells[n]] ? -1 : 0;
                     if (!any_lane(near)) continue;
                     Floats values = sample_grid(&grid->grid, positions), size = choose(values < 0.0f, -values, values);
                     Floats power = in_all(1.0f);
                     for (int64_t times = 1; times < grid->power; times++) power *= size;
                     FOR_LANES(n) {
-                        if (near[n]) sum += values[n] * power[n] / points;
+                        if (near[n]) sums[together > 1 ? n : 0] += values[n] * power[n] / points;
                     }
                 }
-                to[k * grid->strides[2]] = sum;
+                for (int64_t n = 0; n < together && k + n < end; n++) to[(k + n) * grid->strides[2]] = sums[n];
             }
         }
     }

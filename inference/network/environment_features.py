@@ -15,6 +15,8 @@ The prediction is therefore linear in the light, even light at an albedo of 1 st
 number of colours costs one evaluation.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..environments.environment_light import ALBEDOS, DIRECTION_WEIGHTS, DIRECTIONS
@@ -28,6 +30,8 @@ NEAR, FAR, OPEN = 1.0 / 32.0, 1.0 / 8.0, 1.0 / 16.0
 PROBES = 6
 # Mean cosines of the lobes around the ray, and scales of extinction, of the means over what is open.
 LOBES, SCALES = (0.8, 0.5, 0.25, 0.0, -0.4), (1.0, 0.3, 0.09, 0.03)
+# Largest mean cosine of lobes that tell how much of those blurs is visible.
+SHARPEST = 0.8
 # Blurs of the environment ahead: powers of G, then fixed mean cosines.
 BLUR_POWERS, BLURS = (1, 2, 4), (0.0, -0.5)
 # Weights of the flux along the ray in the light of the coarse transport: probe, factor.
@@ -76,10 +80,10 @@ def probe_positions(
     return positions[:, None] + np.stack(offsets, axis=1)
 
 
-def lobe_weights(omega: np.ndarray) -> np.ndarray:
-    """Weights float32 (V, LOBES, 50) of DIRECTIONS, summing to 1, in lobes around camera rays (V, 3)."""
+def lobe_weights(omega: np.ndarray, anisotropies: Sequence[float] = LOBES) -> np.ndarray:
+    """Weights float32 (V, L, 50) of DIRECTIONS, summing to 1, in L lobes around camera rays (V, 3)."""
     cosine = product(omega, DIRECTIONS.T)
-    lobes = np.stack([DIRECTION_WEIGHTS * (1.0 + g * g - 2.0 * g * cosine) ** -1.5 for g in LOBES], axis=1)
+    lobes = np.stack([DIRECTION_WEIGHTS * (1.0 + g * g - 2.0 * g * cosine) ** -1.5 for g in anisotropies], axis=1)
     return (lobes / lobes.sum(axis=2, keepdims=True)).astype(np.float32)
 
 
@@ -102,10 +106,20 @@ class OpenMeans:
         #: Logarithms float32 (N, SCALES * LOBES) of the transmittance of each lobe, at each scale.
         self.logs = np.maximum(np.concatenate(logs, axis=1), np.float32(MIN_LOG))
 
-    def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """Means float32 (N, SCALES * LOBES, C) of the radiance (50, C) from DIRECTIONS."""
+    def radiance(self, directions: np.ndarray, visible: np.ndarray | float = 1.0) -> np.ndarray:
+        """Means float32 (N, SCALES * LOBES, C) of the radiance (50, C) from DIRECTIONS.
+
+        visible: share (N, 50) of it that reaches the points.
+        """
         light = directions.astype(np.float32)
-        return np.concatenate([product(weights, light) for weights in self.weights], axis=1)
+        seen = np.reshape(visible, (-1, 1, 50)) if np.ndim(visible) else 1.0
+        return np.concatenate([product(weights * seen, light) for weights in self.weights], axis=1)
+
+
+def visible_ahead(lobes: np.ndarray, directions: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Share (N, L) of the radiance (50, C) from DIRECTIONS, in lobes (N, L, 50), of which (N, 50) is visible."""
+    light = lobes * directions.mean(axis=1, dtype=np.float32)
+    return (light * visible[:, None]).sum(axis=2) / np.maximum(light.sum(axis=2), np.float32(1e-30))
 
 
 def inputs(

@@ -12,7 +12,17 @@ from ..environments.open_depths import OpenDepths
 from ..features.descriptors import FieldLookup, distinct_rows
 from ..grids.working_cube import Cube
 from .conditions import RayPoints
-from .environment_features import OpenMeans, candidates, inputs, lobe_weights, probe_positions, seldom_scattered
+from .environment_features import (
+    SHARPEST,
+    OpenMeans,
+    blurs,
+    candidates,
+    inputs,
+    lobe_weights,
+    probe_positions,
+    seldom_scattered,
+    visible_ahead,
+)
 from .provider import SmallNetwork
 
 # Folder of these networks' weights; each has the name of the network for suns that it stands beside.
@@ -70,7 +80,8 @@ class PreparedEnvironment:
         Single scattering, then multiple scattering for each of A albedos. along: (N, 2), optical depth ahead of each
         point and behind it on its ray.
         """
-        shares, points = self.skies.shares(points.positions), points.in_cube(self.cube)
+        shares, visible = self.skies.shares(points.positions), self.skies.visible(points.positions)
+        points = points.in_cube(self.cube)
         positions, omega = points.positions, points.directions
         first, view = distinct_rows(omega)
         count, channels = len(positions), self.radiance.shape[1] // shares.shape[1]
@@ -83,8 +94,13 @@ class PreparedEnvironment:
         absorbed = read_lattice(self.absorbed, flat).reshape(count, probes.shape[1], 4, len(ALBEDOS), channels + 1)
         seldom, even = seldom_scattered(light, absorbed.swapaxes(2, 3), omega)
         x = inputs(density, along, opened, even, omega, self.thickness, self.anisotropy)
-        ahead = _reaching(read_image(self.blurred, omega[first])[view], shares)
-        open_to = _reaching(opened.radiance(self.radiance), shares)
+        ahead, open_to = read_image(self.blurred, omega[first])[view], opened.radiance(self.radiance)
+        for sky in self.skies.hidden if visible is not None else ():
+            own, seen = slice(sky * channels, (sky + 1) * channels), visible[sky]
+            lobes = lobe_weights(omega[first], np.clip(blurs(self.anisotropy), -SHARPEST, SHARPEST))[view]
+            ahead[..., own] *= visible_ahead(lobes, self.radiance[:, own], seen)[..., None]
+            open_to[..., own] = opened.radiance(self.radiance[:, own], seen)
+        ahead, open_to = _reaching(ahead, shares), _reaching(open_to, shares)
         radiances = candidates(ahead, open_to, light, seldom, omega, self.anisotropy)
         predicted = self.network.run(x, radiances, albedos)
         return np.maximum(predicted, np.float32(0.0)).transpose(1, 0, 2)

@@ -202,13 +202,14 @@ class VolumePredictor:
         network: EnvironmentNetwork,
         environments: Sequence[Environment],
         sigma_t: float,
+        occluders: Occluders = NO_OCCLUDERS,
         tasks: AnyTasks = SERIAL,
     ) -> PreparedEnvironment:
         """What predicts the light of environments for one extinction. Raises Cancelled.
 
-        network: beside this one.
+        network: beside this one. occluders: which end the light of environments that they hide in places.
         """
-        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), NO_OCCLUDERS)
+        conditions = self._conditions(sigma_t, PlacedSkies(environments, self.cube), occluders)
         thickness = max(self.peak_sigma_hat(sigma_t), 1e-30)
         return self._every_light.prepare_environment(network, conditions, thickness, tasks)
 

@@ -199,7 +199,7 @@ class RayPredictor(Predictor):
         ordinates = ordinate_radiance(skies.image)
         brightest = max(float(ordinates.max(initial=0.0)), 1e-30)
         key: Hashable = alike(conditions.sigma_hat, brightest), np.round(ordinates / brightest, SAME).tobytes()
-        key = key, skies.weights, self.cube.key if skies.vary else b""
+        key = key, skies.weights, self.cube.key if skies.vary else b"", conditions.occluders if skies.hidden else b""
         with tasks.cancel.locked(self._lock):
             lattices = self.density.lattices(conditions.sigma_hat, tasks)
             shared = self._shared
@@ -212,7 +212,8 @@ class RayPredictor(Predictor):
                 self._environment = None
                 self._environment = shared.environments.get(key)
             if self._environment is None:
-                solved = solve_environment(self.coarse, conditions.sigma_hat, self.anisotropy, ordinates, tasks.cancel)
+                medium, entering = (self.coarse, conditions.sigma_hat, self.anisotropy), skies.entering(ordinates, self.cube)
+                solved = solve_environment(*medium, entering, conditions.triangles, tasks.cancel)
                 if skies.vary:
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
                 self._environment = shared.environments[key] = _SolvedEnvironment(key, solved)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gauss-Legendre quadrature, and integrals of Legendre polynomials."""
+"""Gauss-Legendre quadrature, integrals of Legendre polynomials, and directions."""
 
 import functools
 
@@ -41,3 +41,11 @@ def legendre_integrals(x: np.ndarray, count: int) -> np.ndarray:
     values = np.polynomial.legendre.legvander(x, count).T
     degrees = 2.0 * np.arange(1, count)[:, None] + 1.0
     return np.concatenate([(x + 1.0)[None], (values[2:] - values[:-2]) / degrees])
+
+
+def even_directions(count: int) -> np.ndarray:
+    """Unit vectors float64 (count, 3) on a Fibonacci spiral, which stand for equal shares of the sphere."""
+    number = np.arange(count)
+    rise, turn = 1.0 - (2 * number + 1) / count, number * np.pi * (3.0 - np.sqrt(5.0))
+    flat = np.sqrt(1.0 - rise**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), rise], axis=1)

@@ -1,27 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The nearest surfaces in all directions around a point, and how much of the sky they leave open."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
-from ..scene.environment import Environment, PlaceWeight, pixel_directions, pixel_numbers, pixel_solid_angles
+from ..scene.environment import Environment, pixel_directions, pixel_numbers, pixel_solid_angles
 from .depth_buffer import SAMPLES, DepthBuffer
 from .lamp_shadow_map import LampShadowMap
+from .sky_visibility import SkyVisibility
 
 #: Rows of images of surfaces; and sample points along an edge of each face of the cube onto which they are rasterized.
 ROWS, FACE = 32, 64
 # Cells along an edge of each face of the shadow map that tells which points the eye sees.
 HIDING = 512
-# Largest mean fraction of the sphere by which the sky at several points may differ from one sky, or from skies that
-# vary linearly; and largest number of triangles for which several points are looked at.
-ALIKE, LINEAR, MAX_TRIANGLES = 0.025, 0.05, 10_000
+# Largest mean fraction of the sphere by which the sky at several points may differ from their mean, to be the same.
+ALIKE = 0.025
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,78 +144,43 @@ def _meets(start: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> b
 
 @dataclass(frozen=True)
 class OpenSky:
-    """Fraction (ROWS, 2 ROWS) of each direction's light that surfaces let through to volumes, weighted by position."""
+    """What surfaces let through of the sky to volumes.
+
+    fraction: (ROWS, 2 ROWS), of the light of each direction, the same everywhere; 1 where visibility tells.
+    visibility: where that differs from point to point, else None.
+    """
 
     fraction: np.ndarray
-    weight: PlaceWeight | None = None
+    visibility: SkyVisibility | None = None
+
+    def behind(self, environment: Environment) -> Environment:
+        """An environment behind the surfaces."""
+        fraction = self.fraction.reshape(-1)[pixel_numbers(environment.directions(), ROWS)]
+        light = environment.radiance * fraction[..., None]
+        return Environment(light, environment.world_from_environment, environment.name, self.visibility)
 
 
 def open_sky(
-    surfaces: Sequence[Surface], corners: np.ndarray, eye: np.ndarray, cancel: CancelToken = NEVER
-) -> list[OpenSky]:
-    """The sky as surfaces let it through to volumes: one sky if all points see the same, else the sum of 2, 4 or 8.
+    surfaces: Sequence[Surface], corners: np.ndarray, eye: np.ndarray | None, cancel: CancelToken = NEVER
+) -> OpenSky:
+    """The sky as surfaces let it through to volumes.
 
-    corners: (N, 3), of the volumes. eye: (3,), from `vantage`. The sky is looked at from the eye, from the volumes'
-    middle and from halfway to each corner of their box, except points that surfaces hide from the eye. It is fitted
-    linearly along as few axes as suffice. Empty if no fit does, which is also checked halfway to the faces of the box.
-    Raises Cancelled.
+    corners: (N, 3), of the volumes. eye: (3,), from `vantage`, or None. The sky is the same everywhere if the eye, the
+    volumes' middle and points halfway to each corner of their box see about the same, those that the eye does not see
+    left out. Raises Cancelled.
     """
+    whole = np.ones((ROWS, 2 * ROWS))
     shading = [surface for surface in surfaces if surface.shades and len(surface.triangles)]
-    if sum(len(surface.triangles) for surface in shading) > MAX_TRIANGLES:
-        return []
     if not shading:
-        return [OpenSky(np.ones((ROWS, 2 * ROWS)))]
-    points, directions = _viewpoints(corners), pixel_directions(ROWS).reshape(-1, 3)
-    shadows = LampShadowMap(shading, eye, HIDING, cancel)
-
-    def look(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The points (N, 3) that the eye sees, and 1 where the sky is open from each, float64 (N, P)."""
-        visible = points[shadows.visibility(points) >= 0.5]
-        views = [_nearest_triangles(shading, point, directions, cancel) < 0 for point in visible]
-        return visible, np.array(views, np.float64).reshape(len(visible), len(directions))
-
-    visible, views = look(points)
-    own = _nearest_triangles(shading, eye, directions, cancel) < 0
-    visible, views = np.concatenate([eye[None], visible]), np.concatenate([own[None], views])
-    mean = views.mean(axis=0)
-    if _difference(views, mean) <= ALIKE:
-        return [OpenSky(mean.reshape(ROWS, 2 * ROWS))]
-    low, high = points[1:].min(axis=0), points[1:].max(axis=0)
-    faces = points[0] + np.concatenate([np.diag(high - points[0]), np.diag(low - points[0])])
-    faces, face_views = look(faces)
-    for count in (1, 2, 3):
-        fits = []
-        for axes in itertools.combinations(range(3), count):
-            weights = _linear(low, high, axes)
-            at_visible, at_faces = (np.stack([weight(at) for weight in weights], axis=1) for at in (visible, faces))
-            skies = mean + np.linalg.lstsq(at_visible, views - mean, rcond=1e-6)[0]
-            skies = skies.clip(0.0, 1.0)
-            all_views, all_weights = np.concatenate([views, face_views]), np.concatenate([at_visible, at_faces])
-            fits.append((_difference(all_views, all_weights @ skies), skies, weights))
-        difference, skies, weights = min(fits, key=lambda fit: fit[0])
-        if difference <= LINEAR:
-            return [OpenSky(sky.reshape(ROWS, 2 * ROWS), weight) for sky, weight in zip(skies, weights)]
-    return []
-
-
-def _difference(views: np.ndarray, sky: np.ndarray) -> float:
-    """Mean fraction of the sphere in which views (N, P) differ from a sky, (P,) or (N, P)."""
-    angles = np.broadcast_to(pixel_solid_angles(ROWS), (ROWS, 2 * ROWS)).ravel() / (4.0 * np.pi)
-    return float(product(np.abs(views - sky), angles).mean())
-
-
-def _linear(low: np.ndarray, high: np.ndarray, axes: Sequence[int]) -> list[PlaceWeight]:
-    """Weights that are linear between the corners (3,) of a box along the given axes, and sum to 1."""
-    choices = [((low[a], high[a]), (high[a], low[a])) if a in axes else (None,) for a in range(3)]
-    return [PlaceWeight(ends) for ends in itertools.product(*choices)]
-
-
-def behind(environment: Environment, sky: OpenSky) -> Environment:
-    """An environment behind surfaces."""
-    fraction = sky.fraction.reshape(-1)[pixel_numbers(environment.directions(), ROWS)]
-    return Environment(
-        environment.radiance * fraction[..., None],
-        environment.world_from_environment,
-        environment.name,
-        sky.weight,
-    )
+        return OpenSky(whole)
+    visibility = SkyVisibility([surface.triangles for surface in shading], corners, cancel)
+    if eye is None:
+        return OpenSky(whole, visibility)
+    points = _viewpoints(corners)
+    points = np.concatenate([eye[None], points[LampShadowMap(shading, eye, HIDING, cancel).visibility(points) >= 0.5]])
+    seen = visibility.towards(points)
+    if np.abs(seen - seen.mean(axis=0)).mean() > ALIKE:
+        return OpenSky(whole, visibility)
+    directions = pixel_directions(ROWS).reshape(-1, 3)
+    views = [_nearest_triangles(shading, point, directions, cancel) < 0 for point in points]
+    return OpenSky(np.mean(views, axis=0).reshape(ROWS, 2 * ROWS))

@@ -11,7 +11,7 @@ from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
 from .rasterization import rasterize
 
-# Cells along the longer side of the volumes, as seen from the sun.
+#: Cells along the longer side of the volumes, as seen from the sun.
 CELLS = 1024
 # The map is tested at every COARSE-th row and column first.
 COARSE = 16
@@ -26,18 +26,23 @@ class ShadowMap:
     """
 
     def __init__(
-        self, surfaces: Sequence[np.ndarray], direction: np.ndarray, corners: np.ndarray, cancel: CancelToken = NEVER
+        self,
+        surfaces: Sequence[np.ndarray],
+        direction: np.ndarray,
+        corners: np.ndarray,
+        cancel: CancelToken = NEVER,
+        cells: int = CELLS,
     ):
         """Raises Cancelled.
 
         surfaces: triangles (T, 3, 3) of each, in the world. direction: (3,) unit vector to the sun. corners: (N, 3),
-        whose convex hull holds all volumes.
+        whose convex hull holds all volumes. cells: along the longer side of these, as seen from the sun.
         """
         across = np.eye(3)[np.abs(direction).argmin()]
         across = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
         axes = np.stack([across, np.cross(direction, across), direction])
         low, high = (corners @ axes.T).min(axis=0), (corners @ axes.T).max(axis=0)
-        cell = (high - low)[:2].max() / CELLS
+        cell = (high - low)[:2].max() / cells
         self.linear = axes / np.array([cell, cell, 1.0])[:, None]
         # The centres of the first cells have index 0.
         self.offset = -low / [cell, cell, 1.0] - [0.5, 0.5, 0.0]

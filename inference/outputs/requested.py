@@ -30,10 +30,10 @@ MOMENTS = 6
 class Outputs:
     """The outputs of `Settings.outputs` of a camera's window, of the tiles that are finished.
 
-    Tiles may be added by several threads. Where a lens blurs the camera's picture, median and shadow are those of its
-    middle.
+    Tiles may be added by several threads. In blurred pictures, median and shadow are those of the lens' middle, at the
+    time of the frame.
 
-    Raises SceneError for deep samples through a lens.
+    Raises SceneError for deep samples of blurred pictures.
     """
 
     wanted: frozenset[str]
@@ -45,9 +45,10 @@ class Outputs:
     _shadow: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if "deep" in self.wanted and self.camera.lens is not None:
+        blur = "depth of field" if self.camera.lens else "motion blur" if self.camera.shutter else None
+        if "deep" in self.wanted and blur:
             raise SceneError(
-                "camera: deep samples lie on one ray of each pixel, and depth of field has many; switch off one of them"
+                f"camera: deep samples lie on one ray of each pixel, and {blur} has many; switch off one of them"
             )
         if "median" in self.wanted:
             x0, y0, x1, y1 = self.camera.window

@@ -19,8 +19,6 @@ from .directional_lights import directional_lights
 
 AnyLight = TypeVar("AnyLight", bound=Light)
 
-#: Why environments are computed as suns where a scene has surfaces.
-SURFACES_SHADOW = "surfaces shadow it"
 # Most surfaces that shine as lamps, the brightest; the others are what the middle of the volumes sees of them, as are
 # those larger than the volumes which fill more of its view than so many steradians.
 MESH_LIGHTS, AROUND = 8, 2.5
@@ -33,17 +31,15 @@ DIRECTIONS = 12
 
 
 def split_lights(
-    lights: Sequence[Light], settings: Settings, parallel: str, planned: list[str], left_out: list[str]
+    lights: Sequence[Light], settings: Settings, planned: list[str], left_out: list[str]
 ) -> tuple[list[Sun], list[Environment]]:
     """Suns, those of the environments' peaks included, and the environments without them.
 
-    parallel: why environments are computed as suns, "" where they need not be. Adds sentences to `planned` and
-    `left_out`.
+    Networks that know suns alone take environments as suns, too. Adds sentences to `planned` and `left_out`.
     """
     families = Families.of(lights)
     suns, bright = families.suns, shining(families.environments, left_out)
-    if not abilities(settings.model).every_light:
-        parallel = f"the network {settings.model} knows suns alone"
+    parallel = not abilities(settings.model).every_light
     environments = []
     for environment in bright:
         rest, peaks = environment.without_peaks()
@@ -53,7 +49,8 @@ def split_lights(
         if parallel:
             parallel_suns = directional_lights(rest, DIRECTIONS)
             planned.append(
-                f"{environment.name}: as parallel light from {len(parallel_suns)} directions, since {parallel}"
+                f"{environment.name}: as parallel light from {len(parallel_suns)} directions, since the network "
+                f"{settings.model} knows suns alone"
             )
             suns += parallel_suns
         else:

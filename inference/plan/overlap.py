@@ -8,8 +8,8 @@ import numpy as np
 from ..scene.description import Medium, Volume
 
 # Volumes are joined while the extent of all is at most this many times that of the smallest: beyond, the network would
-# resolve the smallest too coarsely.
-MAX_EXTENT_RATIO = 4.0
+# resolve the smallest too coarsely. Parts of a cloud that is made of many are as details of a single volume.
+MAX_EXTENT_RATIO, MANY, MAX_EXTENT_RATIO_OF_MANY = 4.0, 8, 8.0
 
 
 def overlapping(
@@ -22,18 +22,23 @@ def overlapping(
     corners = np.array([_corners(volume) for volume, _ in volumes]).reshape(-1, 8, 3)
     low, high = corners.min(axis=1), corners.max(axis=1)
     extent = (high - low).max(axis=1)
-    pairs = [pair for pair in _meeting(low, high) if share_light(volumes[pair[0]][1], volumes[pair[1]][1])]
+    apart = [pair for pair in _meeting(low, high) if share_light(volumes[pair[0]][1], volumes[pair[1]][1])]
     # Of each volume the members of its group, which these share.
-    groups = [[v] for v in range(len(volumes))]
-    for first, second in pairs:
-        if groups[first] is groups[second]:
-            continue
-        joined = sorted(groups[first] + groups[second])
-        edge = (high[joined].max(axis=0) - low[joined].min(axis=0)).max()
-        if edge <= MAX_EXTENT_RATIO * extent[joined].min():
-            for v in joined:
-                groups[v] = joined
-    apart = [(first, second) for first, second in pairs if groups[first] is not groups[second]]
+    groups, grown = [[v] for v in range(len(volumes))], True
+    # Groups that have become large may grow further.
+    while grown:
+        grown = False
+        for first, second in apart:
+            if groups[first] is groups[second]:
+                continue
+            joined = sorted(groups[first] + groups[second])
+            edge = (high[joined].max(axis=0) - low[joined].min(axis=0)).max()
+            ratio = MAX_EXTENT_RATIO if len(joined) < MANY else MAX_EXTENT_RATIO_OF_MANY
+            if edge <= ratio * extent[joined].min():
+                grown = True
+                for v in joined:
+                    groups[v] = joined
+        apart = [(first, second) for first, second in apart if groups[first] is not groups[second]]
     return [group for v, group in enumerate(groups) if group[0] == v], apart
 
 

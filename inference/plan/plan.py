@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..models.abilities import abilities
-from ..occluders.seen_surfaces import OpenSky, behind, open_sky, vantage
+from ..occluders.seen_surfaces import OpenSky, open_sky, vantage
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Medium, Sun, Surface, Volume
@@ -21,7 +21,6 @@ from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .joined_lamps import joined_lamps
 from .lights import (
-    SURFACES_SHADOW,
     PredictedSun,
     linked_lights,
     linking,
@@ -67,8 +66,7 @@ class SceneLights:
     """A scene's lights as they are computed.
 
     suns: those that contribute, parallel ones merged. environments: light from everywhere, without its peaks. sky: the
-    same as they are without surfaces; empty if none hides any of them. skies: as how many different ones places see
-    them. lamps: that emit light. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
+    same as they are without surfaces; empty if none hides any of them. lamps: that emit light. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
     predicted of at once. predicts_lamps: whether the network knows lamps. reflects: whether the light that surfaces
     send into volumes becomes one more environment. planned, left_out: sentences.
     """
@@ -76,7 +74,6 @@ class SceneLights:
     suns: list[Sun]
     environments: list[Environment]
     sky: list[Environment]
-    skies: int
     lamps: list[Lamp]
     lamp_clusters: list[list[list[int]]]
     predicts_lamps: bool
@@ -181,7 +178,7 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
     return merged
 
 
-def _corners(volume: Volume) -> np.ndarray:
+def box_corners(volume: Volume) -> np.ndarray:
     """Corners (8, 3) of a volume's box in the world."""
     ends = [(-0.5, n - 0.5) for n in volume.density.shape]
     index = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1).T
@@ -229,7 +226,7 @@ class SortedScene:
     @property
     def corners(self) -> np.ndarray:
         """Corners (N, 3) of the volumes' boxes in the world."""
-        return np.concatenate([_corners(volume) for volume, _ in self.volumes])
+        return np.concatenate([box_corners(volume) for volume, _ in self.volumes])
 
 
 def sort_scene(
@@ -255,7 +252,7 @@ def sort_scene(
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     names = [volume.name for volume, _ in rendered]
     names += [surface.name for surface in surfaces if surface.reflectance.any()]
-    glowing = mesh_lights(surfaces, np.concatenate([_corners(volume) for volume, _ in rendered])) if rendered else []
+    glowing = mesh_lights(surfaces, np.concatenate([box_corners(volume) for volume, _ in rendered])) if rendered else []
     return SortedScene(
         volumes=rendered,
         groups=overlapping(rendered)[0],
@@ -267,38 +264,35 @@ def sort_scene(
     )
 
 
-def see_sky(scene: SortedScene, camera: Camera, cancel: CancelToken = NEVER) -> list[OpenSky]:
-    """As `open_sky`, of the volumes, from where the camera sees them; empty where no surface hides an environment.
+def see_sky(scene: SortedScene, camera: Camera, cancel: CancelToken = NEVER) -> OpenSky | None:
+    """As `open_sky`, of the volumes, from where the camera sees them; None where no surface hides an environment.
 
     Raises Cancelled.
     """
     if not (scene.surfaces and scene.volumes and Families.of(scene.lights).environments):
-        return []
+        return None
     eye = vantage(scene.surfaces, scene.corners, camera)
-    return [] if eye is None else open_sky(scene.surfaces, scene.corners, eye, cancel)
+    return open_sky(scene.surfaces, scene.corners, eye, cancel)
 
 
-def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings) -> SceneLights:
-    """As what lights are computed; skies: of `see_sky`."""
+def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> SceneLights:
+    """As what lights are computed; sky: of `see_sky`."""
     planned: list[str] = []
     left_out: list[str] = []
     unhidden: list[Environment] = []
     surfaces = scene.surfaces
-    suns, environments = split_lights(
-        scene.lights, settings, SURFACES_SHADOW if surfaces and not skies else "", planned, left_out
-    )
-    if surfaces and environments:
-        seen = "the middle of the volumes sees it" if len(skies) == 1 else f"{len(skies)} places in the volumes see it"
-        planned += [f"{environment.name}: as {seen}" for environment in environments]
-        unhidden = environments
-        environments = [behind(environment, sky) for environment in unhidden for sky in skies]
+    suns, environments = split_lights(scene.lights, settings, planned, left_out)
+    if sky is not None and environments:
+        seen = "each point" if sky.visibility else "the middle"
+        planned += [f"{environment.name}: as {seen} of the volumes sees it" for environment in environments]
+        unhidden, environments = environments, [sky.behind(environment) for environment in environments]
     # Surfaces shadow each part of a soft sun differently.
     if surfaces or not abilities(settings.model).every_light or "soft_suns" not in settings.optimizations:
         suns = [replace(sun, part_of=None) for sun in suns]
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
     if "faint_lamps" in settings.optimizations:
-        boxes = {volume.name: _corners(volume) for volume, _ in scene.volumes}
+        boxes = {volume.name: box_corners(volume) for volume, _ in scene.volumes}
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
         f"{len(joined.parts) - 1} of {len(joined.parts)} predictions of {joined.sun.name}: one for all of its parts"
@@ -310,7 +304,7 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
     if "distant_lamps" in settings.optimizations and len(lamps) > 1:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
-        clusters = [joined_lamps(lamps, others, {own.name: _corners(own) for own in group}) for group in members]
+        clusters = [joined_lamps(lamps, others, {own.name: box_corners(own) for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     if predicts_lamps:
@@ -327,7 +321,6 @@ def sort_lights(scene: SortedScene, skies: Sequence[OpenSky], settings: Settings
         predicts_lamps=predicts_lamps,
         reflects=reflects_light(without_lamps(surfaces, scene.glowing), settings, planned, left_out),
         sky=unhidden,
-        skies=len(skies),
         planned=planned,
         left_out=left_out,
     )
@@ -345,9 +338,9 @@ def plan_tiles(
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
     groups = [[rendered[v][0] for v in group] for group in scene.groups]
     memory += field_bytes(groups, len(suns) + len(lights.lamps), lights.from_everywhere)
-    # Light of surfaces is one more sky beside others.
-    different = lights.skies + bool(lights.reflects and lights.environments)
-    memory += different * SKY_BYTES if different > 1 else 0
+    if lights.sky:
+        # That of surfaces, and that which they hide in places.
+        memory += 2 * SKY_BYTES
     memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
     memory += len(scene.groups) * len(suns) * abilities(settings.model).light_bytes
     depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)

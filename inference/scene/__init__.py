@@ -2,7 +2,7 @@
 """Description of a scene: volumes, media, lights, surfaces, the camera and the settings, as plain arrays."""
 
 from ..runtime.cancellation import Cancelled
-from .camera import Camera, Lens
+from .camera import Camera, Lens, Shutter
 from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Sun, Surface, Volume
 from .environment import Environment
 from .errors import SceneError
@@ -25,6 +25,7 @@ __all__ = [
     "PointLight",
     "SceneError",
     "Settings",
+    "Shutter",
     "SparseGrid",
     "SpotLight",
     "Sun",

@@ -52,6 +52,32 @@ class Lens:
             raise SceneError(f"camera: the aperture's ratio {self.ratio:g} must be positive")
 
 
+@dataclass(frozen=True)
+class Shutter:
+    """The time during which a picture is taken, and how the camera moves in it.
+
+    world_matrices: float64 (S, 4, 4) camera to world, at S > 1 evenly spaced times from opening to closing; () for a
+    camera that stands still. fovs: (S,) horizontal fields of view then, radians; () for that of the camera. curve:
+    fractions of light that the shutter lets through at evenly spaced times; () for all of it.
+
+    Raises SceneError for values out of range.
+    """
+
+    world_matrices: np.ndarray | tuple[()] = ()
+    fovs: tuple[float, ...] = ()
+    curve: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        matrices = [affine_matrix(matrix, "camera: transform") for matrix in self.world_matrices]
+        object.__setattr__(self, "world_matrices", np.array(matrices).reshape(-1, 4, 4))
+        if len(matrices) == 1 or len(self.fovs) == 1:
+            raise SceneError("camera: a shutter needs transforms and fields of view at two times or more")
+        if not all(0.0 < fov < np.pi for fov in self.fovs):
+            raise SceneError("camera: fields of view in the shutter must lie between 0 and pi")
+        if self.curve and not (min(self.curve) >= 0.0 and 0.0 < max(self.curve) < np.inf):
+            raise SceneError("camera: the shutter curve lets no light through; raise it above 0")
+
+
 @dataclass
 class Camera:
     """A camera with the axes of Blender: it looks along -Z, +Y is up.
@@ -67,6 +93,7 @@ class Camera:
     exposure: factor of radiance in the layer, which Cycles calls *Film > Exposure*.
     eye: of spherical stereo (equirectangular).
     lens: that blurs what is out of focus; None for a pinhole.
+    shutter: in which the camera or volumes move; None for an instant.
     region: (x0, y0, x1, y1) pixels, upper left inclusive, lower right exclusive, rows from the top; None renders the
         whole image. The layer has the size of the region.
 
@@ -86,6 +113,7 @@ class Camera:
     exposure: float = 1.0
     eye: SphericalEye | None = None
     lens: Lens | None = None
+    shutter: Shutter | None = None
 
     def __post_init__(self) -> None:
         self.world_matrix = affine_matrix(self.world_matrix, "camera: transform")

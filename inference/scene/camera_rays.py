@@ -210,7 +210,8 @@ def windows_around(camera: Camera, corners: np.ndarray) -> np.ndarray:
     x0, y0, x1, y1 = camera.window
     windows = np.tile([x0, y0, x1, y1], (len(corners), 1))
     if camera.projection == "equirectangular":
-        return windows
+        # Rays that do not start at the camera see points elsewhere.
+        return windows if camera.eye or camera.lens else _windows_on_sphere(camera, corners)
     ahead = -_local(camera, corners)[..., 2]
     nearest, farthest = ahead.min(axis=1), ahead.max(axis=1)
     windows[farthest < 0.0] = 0
@@ -226,6 +227,32 @@ def windows_around(camera: Camera, corners: np.ndarray) -> np.ndarray:
     found = np.concatenate([np.clip(low, first, end), np.clip(high, first, end)])[:, finite].T
     windows[seen[finite]] = found.astype(int)
     return windows
+
+
+def _windows_on_sphere(camera: Camera, corners: np.ndarray) -> np.ndarray:
+    """As `windows_around`, of an equirectangular camera: around what it sees of spheres around the points."""
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    x, y, z = _local(camera, centre).T
+    level = np.hypot(x, z)
+    sine = np.minimum(radius / np.maximum(np.hypot(level, y), 1e-300), 1.0)
+    half, latitude = np.arcsin(sine), np.arctan2(y, level)
+    # A sphere that holds a pole is seen all around.
+    beside = np.arcsin(np.minimum(sine / np.maximum(np.cos(latitude), 1e-300), 1.0))
+    beside[(np.abs(latitude) + half >= 0.5 * np.pi) | (sine >= 1.0)] = np.pi
+    half[sine >= 1.0] = np.pi
+    (width, height), (left, right), (lower, upper) = camera.resolution, camera.longitude, camera.latitude
+    begin = np.mod(np.arctan2(x, -z) - beside - min(left, right), 2.0 * np.pi)
+    ends = np.stack([begin, begin + 2.0 * beside])
+    # What is seen at both edges, or more than once.
+    ends[:, (ends[1] >= 2.0 * np.pi) | (abs(right - left) > 2.0 * np.pi)] = [[0.0], [abs(right - left)]]
+    columns = ends / (right - left) * width + (width if right < left else 0.0)
+    rows = (upper - np.stack([latitude - half, latitude + half])) / (upper - lower) * height
+    # One pixel more on each side, for rounding.
+    places = np.stack([columns, rows])
+    low, high = np.floor(places.min(axis=1)) - 1.0, np.ceil(places.max(axis=1)) + 1.0
+    first, end = np.array(camera.window).reshape(2, 2, 1)
+    return np.concatenate([np.clip(low, first, end), np.clip(high, first, end)]).T.astype(int)
 
 
 def pixels_around(camera: Camera, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:

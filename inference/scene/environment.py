@@ -3,6 +3,7 @@
 
 import functools
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -58,27 +59,22 @@ def pixel_numbers(directions: np.ndarray, rows: int) -> np.ndarray:
     return row * (2 * rows) + column
 
 
-@dataclass(frozen=True)
-class PlaceWeight:
-    """Fraction of a light by position: a product over axes, linear between two ends and constant beyond them.
+class DirectionWeight(Protocol):
+    """Factor of a light by position and by direction, of which there are K; hashable."""
 
-    ends: per axis (start, end), at which it is 0 and 1; None on axes along which it does not vary.
-    """
-
-    ends: tuple[tuple[float, float] | None, ...]
+    @property
+    def directions(self) -> np.ndarray:
+        """(K, 3), unit vectors towards the light that stand for equal shares of the sphere."""
 
     @property
     def mean(self) -> float:
-        """Mean between the ends."""
-        return float(0.5 ** sum(ends is not None for ends in self.ends))
+        """Mean over directions and positions."""
+
+    def towards(self, positions: np.ndarray) -> np.ndarray:
+        """float32 (N, K), at world positions (N, 3)."""
 
     def __call__(self, positions: np.ndarray) -> np.ndarray:
-        """float32 (N,), at world positions (N, 3)."""
-        weights = np.ones(len(positions), np.float32)
-        for along, ends in zip(positions.T, self.ends):
-            if ends is not None:
-                weights *= np.clip((along - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0).astype(np.float32)
-        return weights
+        """Mean over the directions, float32 (N,), at world positions (N, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +120,7 @@ class Environment(Light):
     world_from_environment: (3, 3) orthonormal matrix that turns these directions into those of the world, or None for
         the identity.
     name: for messages.
-    weight: factor of its light by position, or None where it is the same everywhere.
+    weight: factor of its light by position, and perhaps by direction, or None where it is the same everywhere.
 
     Raises SceneError for other shapes, for radiance out of range and for matrices that are not orthonormal.
     """
@@ -132,7 +128,7 @@ class Environment(Light):
     radiance: np.ndarray
     world_from_environment: np.ndarray | None = None
     name: str = "environment"
-    weight: PlaceWeight | PlaceLattice | None = None
+    weight: PlaceLattice | DirectionWeight | None = None
 
     def __post_init__(self) -> None:
         self.radiance = np.ascontiguousarray(self.radiance, dtype=np.float32)

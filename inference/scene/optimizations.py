@@ -65,6 +65,7 @@ OPTIMIZATIONS = {
     "soft_shadows": Optimization(
         "Average Soft Shadows", "The shadows of a lamp's parts are averaged once at voxels where rays are many", 0.02
     ),
+    "joined_volumes": Optimization("Join Overlapping Volumes", "Camera rays see one volume where many overlap", 0.03),
 }
 ALL = frozenset(OPTIMIZATIONS)
 # Optimizations that older files and command lines name, by number: nothing depends on them any more.

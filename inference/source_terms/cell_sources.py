@@ -84,10 +84,12 @@ class LampBeam(CellSource):
 class EnteringLight(CellSource):
     """Light of an environment; a `CellSource` of all of it, unscattered light included, and linear in it.
 
-    radiance: (26,), that arrives from ORDINATES.
+    radiance: (26,), that arrives from ORDINATES. visible: float32 (26, m, m, m), the share of it that surfaces let
+    through to the outermost of the cube's cells, any number of them; None where it is all of it.
     """
 
     radiance: np.ndarray
+    visible: np.ndarray | None = None
     linear = True
 
     def followers(self, solver: DiscreteOrdinates, fields: Fields, cancel: CancelToken) -> Sequence[Follower]:
@@ -95,7 +97,12 @@ class EnteringLight(CellSource):
         if solver.coarser is None and solver.conservative:
             # Exact for even light, which no albedo of 1 changes.
             fields.field[0] = 4.0 * np.pi * (ORDINATE_WEIGHTS @ self.radiance)
-        return solver.sweeps.followers(fields.source, fields.swept, entering=np.asarray(self.radiance, np.float32))
+        entering, visible = np.asarray(self.radiance, np.float32), self.visible
+        if visible is not None:
+            n, most = len(solver.density), visible.shape[1] - 1
+            nearest = np.rint(np.arange(n) * (most / (n - 1))).astype(int)
+            visible = visible[np.ix_(range(len(visible)), *[nearest] * 3)]
+        return solver.sweeps.followers(fields.source, fields.swept, entering=entering, visible=visible)
 
 
 def scattered_beams(light: np.ndarray, towards: np.ndarray, anisotropy: float) -> np.ndarray:

@@ -41,7 +41,8 @@ class OrdinateSweeps:
         self.links: list[np.ndarray] | None = None
         if boundaries is not None:
             extinction = np.where(boundaries.inside, np.float32(n * 1e3), extinction)
-            self.links = [_open_links(boundaries, side) for side in range(len(SIDES))]
+            clear = boundaries.facing == 0.0
+            self.links = [_open_links(clear, side) for side in range(len(SIDES))]
         lengths = np.sqrt([1.0, 2.0, 3.0]).astype(np.float32) / np.float32(n)
         tau = np.maximum(extinction * lengths[:, None, None, None], MIN_DEPTH)
         # Share of the source function in the radiance that leaves a cell, 1 - exp(-tau), and in its mean within the
@@ -58,6 +59,7 @@ class OrdinateSweeps:
         phases: list[np.ndarray] | None = None,
         entering: np.ndarray | None = None,
         beams: np.ndarray | None = None,
+        visible: np.ndarray | None = None,
     ) -> list[Callable[[], object]]:
         """What follows light along the steps of each of SIDES: each call adds to `swept`.
 
@@ -65,14 +67,21 @@ class OrdinateSweeps:
         (4, x, y, z), sums of fluence and flux, or (26, x, y, z), mean radiance along each of ORDINATES in each cell.
         phases: phase function of the beam along the steps of each side, or None without a beam. entering: float32
         (26,), radiance at the faces of the cube, or None. beams: float32 (26, x, y, z), light of beams that scatters
-        along each of ORDINATES, in place of the source's beam, so that none is lost whatever the quadrature.
+        along each of ORDINATES, in place of the source's beam, so that none is lost whatever the quadrature. visible:
+        float32 (26, x, y, z), the share of what enters that reaches the outermost cells along each of them.
         """
+        links = [None] * len(SIDES) if self.links is None else self.links
+        if visible is not None:
+            links = [_entering_links(own, part, k) for k, (own, part) in enumerate(zip(links, np.split(visible, SIDE_ENDS)))]
         sums = [swept] * len(SIDES) if len(swept) == SUMS else np.split(swept, SIDE_ENDS)
         inflow = [None] * len(SIDES) if entering is None else np.split(entering, SIDE_ENDS)
         scattered = [None] * len(SIDES) if beams is None else np.split(beams, SIDE_ENDS)
         if phases is None:
             phases = [np.full(len(STEPS[axis]), float(beams is not None)) for axis, _ in SIDES]
-        return [self._follower(k, phases[k], (source, scattered[k]), sums[k], inflow[k]) for k in range(len(SIDES))]
+        return [
+            self._follower(k, phases[k], (source, scattered[k]), sums[k], (inflow[k], links[k]))
+            for k in range(len(SIDES))
+        ]
 
     def _follower(
         self,
@@ -80,9 +89,9 @@ class OrdinateSweeps:
         phase: np.ndarray,
         light: tuple[np.ndarray, np.ndarray | None],
         swept: np.ndarray,
-        entering: np.ndarray | None,
+        entering: tuple[np.ndarray | None, np.ndarray | None],
     ) -> Callable[[], object]:
-        """As `followers`, of one side; light: source and beams."""
+        """As `followers`, of one side; light: source and beams; entering: radiance, and links of cells."""
         axis, sign = SIDES[side]
         steps, weights = sign * STEPS[axis], self._weights(sign * STEPS[axis], phase)
         n = self.cells
@@ -101,8 +110,8 @@ class OrdinateSweeps:
             beams=light[1],
             leaving=self.leaving,
             within=self.within,
-            links=None if self.links is None else self.links[side],
-            entering=None if entering is None else np.ascontiguousarray(entering),
+            links=entering[1],
+            entering=None if entering[0] is None else np.ascontiguousarray(entering[0]),
             sums=swept,
             scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 12 * n, np.float32),
         )
@@ -117,13 +126,13 @@ class OrdinateSweeps:
         return np.concatenate([scattered, phase[:, None]], axis=1).astype(np.float32), gather.astype(np.float32)
 
 
-def _open_links(boundaries: CellBoundaries, side: int) -> np.ndarray:
+def _open_links(clear: np.ndarray, side: int) -> np.ndarray:
     """Whether light passes from the cells that the steps of one of SIDES come from.
 
-    float32 (slices, D, b, c): 0 where a surface cuts the link, else 1.
+    clear: bool (3, n, n, n), whether it passes to the next cell along each axis. float32 (slices, D, b, c): 0 where a surface cuts the link, else 1.
     """
     axis, sign = SIDES[side]
-    clear, links = boundaries.facing == 0.0, []
+    links: list[np.ndarray] = []
     for step in sign * STEPS[axis]:
         # The link goes along one axis after the other, backwards. What np.roll carries in at a face brings no light.
         place, link = np.zeros(3, int), np.ones(clear.shape[1:], bool)
@@ -135,3 +144,21 @@ def _open_links(boundaries: CellBoundaries, side: int) -> np.ndarray:
                 place[a] += 1
         links.append(np.moveaxis(link, axis, 0))
     return np.ascontiguousarray(np.stack(links, axis=1), np.float32)
+
+
+def _entering_links(links: np.ndarray | None, visible: np.ndarray, side: int) -> np.ndarray:
+    """The links of one of SIDES, 1 if None, and instead of those from outside of the cube what is visible.
+
+    visible: float32 (D, x, y, z), along each of the side's steps.
+    """
+    axis, sign = SIDES[side]
+    visible = np.moveaxis(visible, 1 + axis, 0)
+    found = np.ones(visible.shape, np.float32) if links is None else links.copy()
+    for d, step in enumerate(sign * STEPS[axis]):
+        # The array's axes: that of the side, then the other two.
+        for place, along in enumerate([step[axis], *np.delete(step, axis)]):
+            if along:
+                face = [slice(None)] * 3
+                face[place] = 0 if along > 0 else -1
+                found[:, d][tuple(face)] = visible[:, d][tuple(face)]
+    return found

@@ -18,6 +18,7 @@ from ..cycles.choices import has_null_scattering
 from ..cycles.pass_store import Job, PassStore, scene_key
 from ..cycles.process import CyclesProcess
 from ..cycles.reference import read_image, volumes_and_lights
+from ..scene.kept_frame import goes_to
 from ..scene.reader import read_scene, require_volumes
 from ..volumes.reader import VolumeReader
 from . import report as comparison_report
@@ -70,7 +71,8 @@ class ComparisonRun:
         with scaled(context.scene, options.scale):
             depsgraph = context.evaluated_depsgraph_get()
             # Of the region's size and without surfaces, as Cycles' image.
-            self.description = replace(read_scene(depsgraph, reader), crop=True, opaque=[], views=[])
+            read = read_scene(depsgraph, reader, go_to=goes_to(context.scene))
+            self.description = replace(read, crop=True, opaque=[], views=[])
             require_volumes(self.description)
             process = CyclesProcess(
                 context.scene,

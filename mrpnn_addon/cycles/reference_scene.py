@@ -82,6 +82,7 @@ def view_scene(
         if world is not None:
             reference.world = world
         reference.cycles.volume_step_rate = tracing.step_rate
+        _copy_motion_blur(scene, reference)
         # A blurred layer's pixels are means, too.
         if tracing.box_filter or _is_blurred(scene):
             reference.cycles.pixel_filter_type = "BOX"
@@ -91,9 +92,27 @@ def view_scene(
 
 
 def _is_blurred(scene: "bpy.types.Scene") -> bool:
-    """Whether a scene's camera has a lens."""
+    """Whether a scene's camera has a lens, or its pictures motion blur."""
     lens: Any = scene.camera.data
-    return isinstance(lens, bpy.types.Camera) and lens.dof.use_dof
+    return isinstance(lens, bpy.types.Camera) and lens.dof.use_dof or scene.render.use_motion_blur
+
+
+def _copy_motion_blur(source: "bpy.types.Scene", reference: "bpy.types.Scene") -> None:
+    """Copy *Motion Blur*; not *Rolling Shutter*, which the layer has not."""
+    for name in ("use_motion_blur", "motion_blur_shutter", "motion_blur_position", "fps", "fps_base"):
+        for settings, own in ((reference.render, source.render), (reference.cycles, source.cycles)):
+            if hasattr(own, name):
+                setattr(settings, name, getattr(own, name))
+    mapping: Any = reference.render.motion_blur_shutter_curve
+    own_mapping: Any = source.render.motion_blur_shutter_curve
+    points, given = (one.curves[0].points for one in (mapping, own_mapping))
+    for _ in range(len(points), len(given)):
+        points.new(0.5, 0.5)
+    while len(points) > len(given):
+        points.remove(points[-1])
+    for point, other in zip(points, given):
+        point.location, point.handle_type = other.location, other.handle_type
+    mapping.update()
 
 
 @contextmanager

@@ -207,7 +207,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             raise loading.error
         # Blender renders the scene of composited volumes as a still, whose picture is Cycles' with or without volumes.
         goes_on = self.is_animation or composited(frames) or len(frames.view_layers) > 1
-        scene = read_frame(depsgraph, reader, self._check, goes_on)
+        scene = read_frame(depsgraph, reader, self._check, goes_on, self.frame_set)
         if self.is_animation and frames.frame_current + frames.frame_step <= frames.frame_end:
             cls._ahead = ReadAhead(sources, frames.frame_step)
         return scene

@@ -97,7 +97,8 @@ def render_scene(
     reports = [layer.report for _, layer in layers]
     warnings = [*scene.warnings, *(text for report in reports for text in report.warnings), *runtime_warnings]
     warnings += [text for view, layer in layers for text in _dark(scene, view.camera, layer)]
-    workload = scene.workload(settings.depth_samples) if scene.volumes else None
+    suns = reports[0].counts.get("suns")
+    workload = scene.workload(settings.depth_samples, suns) if scene.volumes else None
     seconds = time.perf_counter() - started
     return Finished(layers[0][1], seconds, list(dict.fromkeys(warnings)), workload, layers, files)
 

@@ -31,11 +31,13 @@ def read_views(depsgraph: "bpy.types.Depsgraph") -> tuple[list[View], list[str]]
 
 
 def read_camera(
-    depsgraph: "bpy.types.Depsgraph", view: "bpy.types.SceneRenderView | None" = None
+    depsgraph: "bpy.types.Depsgraph",
+    view: "bpy.types.SceneRenderView | None" = None,
+    instead: "bpy.types.Object | None" = None,
 ) -> tuple[Camera, list[str]]:
     """The scene's active camera at the render resolution, and warnings.
 
-    view: whose eye or camera it is; None for the active camera itself.
+    view: whose eye or camera it is; None for the active camera itself. instead: of the view's camera.
 
     The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
 
@@ -43,9 +45,9 @@ def read_camera(
     for one of scale 0, and for non-square pixels.
     """
     scene = depsgraph.scene
-    if scene.camera is None:
+    if instead is None and scene.camera is None:
         raise SceneError("the scene has no active camera; add one (Add > Camera) and make it active")
-    camera = view_camera(scene, view).evaluated_get(depsgraph)
+    camera = (instead or view_camera(scene, view)).evaluated_get(depsgraph)
     lens: Any = camera.data
     if camera.type != "CAMERA":
         raise SceneError(

@@ -62,7 +62,10 @@ WORLD = (
     IgnoredSetting("cycles.use_shadows", "casts no shadow; it is rendered with shadows"),
 )
 SCENE = (
-    IgnoredSetting("render.use_motion_blur", "motion blur is not rendered"),
+    IgnoredSetting(
+        "render.use_motion_blur", "motion blur shows how the camera moves, and volumes as if they stood still"
+    ),
+    IgnoredSetting("cycles.rolling_shutter_type", "Motion Blur > Rolling Shutter has no effect"),
     IgnoredSetting("cycles.use_fast_gi", "Light Paths > Fast GI Approximation has no effect on the layer"),
     IgnoredSetting("cycles.sample_clamp_direct", "Light Paths > Clamping > Direct Light has no effect on the layer"),
     IgnoredSetting(

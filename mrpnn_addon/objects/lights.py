@@ -83,7 +83,8 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
         return PointLight(position, power, radius, name, soft), warnings
     if not matrix[:3, 2].any():
         raise SceneError(f"{name}: it has scale 0 and shines in no direction")
-    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    # A parent's scale may shear a lamp whose axes stay equally long.
+    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if np.ptp(lengths) > 1e-3 * lengths.max():
         warnings.append(f"{name} is scaled unevenly; its cone is rendered as round")
     return SpotLight(position, -matrix[:3, 2], power, lamp.spot_size, lamp.spot_blend, radius, name, soft), warnings

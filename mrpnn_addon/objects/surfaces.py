@@ -76,7 +76,7 @@ def read_surface(
     if not (covers or shades or stops):
         return None, []
     holdout = is_holdout(shown, view_layer)
-    if not holdout and any(_is_transparent(material) for material in materials(shown.object)):
+    if not holdout and is_transparent(shown.object):
         if any(material and has_volume(material) for material in materials(shown.object)):
             return None, [f"{where} is transparent and left out, and {VOLUME_INSIDE}"]
         return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
@@ -101,7 +101,12 @@ def read_surface(
 def hides_own_fog(shown: "bpy.types.Object") -> bool:
     """Whether a mesh has fog, and a surface that light does not pass."""
     used = [material for material in materials(shown) if material is not None]
-    return any(map(has_volume, used)) and not any(map(_is_transparent, used))
+    return any(map(has_volume, used)) and not is_transparent(shown)
+
+
+def is_transparent(shown: "bpy.types.Object") -> bool:
+    """Whether light passes the surface of a mesh, where any of its materials lets it."""
+    return any(_is_transparent(material) for material in materials(shown))
 
 
 def _kind(shown: VisibleObject) -> str:

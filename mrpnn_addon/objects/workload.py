@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How much work a render has, estimated from boxes around its volumes; imports no bpy."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +8,6 @@ import numpy as np
 
 from ...inference.marching.ray_steps import MIN_VOXELS, STEP_GROWTH, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
-from ...inference.plan.lights import DIRECTIONS
 from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, window_around
 
@@ -77,16 +75,10 @@ def estimate_workload(
     lights: int,
     samples: int,
     channels: int = 1,
-    surfaces: Sequence[np.ndarray] = (),
     **others: Any,
 ) -> Workload:
-    """The work of a render; boxes may overlap. surfaces: points (N, 3) around each surface, in the world. others:
-    further fields of the Workload.
-    """
+    """The work of a render; boxes may overlap. others: further fields of the Workload."""
     covered = pixels_around(boxes, camera)
-    if others.get("worlds") and _reach_into(surfaces, boxes):
-        # Such surfaces leave no sky that is alike to all of a volume: it becomes suns, and their own light the World.
-        lights += DIRECTIONS
     found = Workload(
         frozenset(box.name for box in boxes),
         int(covered.sum()),
@@ -94,7 +86,6 @@ def estimate_workload(
         lights=lights,
         samples=samples,
         channels=channels,
-        surfaces=bool(len(surfaces)),
         cells=tuple(box.cells for box in boxes),
         **others,
     )
@@ -136,16 +127,6 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
         left, top, right, bottom = window_around(camera, _corners(box))
         covered[top - y0 : bottom - y0, left - x0 : right - x0] = True
     return covered
-
-
-def _reach_into(surfaces: Sequence[np.ndarray], boxes: list[Box]) -> bool:
-    """Whether boxes around any surfaces, points (N, 3) each, and around any volumes overlap."""
-    volumes = [_corners(box) for box in boxes]
-    return any(
-        bool(np.all((points.min(axis=0) < corners.max(axis=0)) & (points.max(axis=0) > corners.min(axis=0))))
-        for points in surfaces
-        for corners in volumes
-    )
 
 
 def _corners(box: Box) -> np.ndarray:

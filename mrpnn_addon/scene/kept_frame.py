@@ -7,6 +7,8 @@ from typing import Any
 
 import bpy
 
+from ..objects.motion import GoTo
+
 
 class KeptFrame:
     """Remembers where a scene is in time."""
@@ -21,6 +23,11 @@ class KeptFrame:
         scene: Any = bpy.data.scenes.get(name)
         if scene is not None and (scene.frame_current, scene.frame_subframe) != (frame, subframe):
             scene.frame_set(frame, subframe=subframe)
+
+
+def goes_to(scene: "bpy.types.Scene") -> GoTo:
+    """What goes to frames of a scene."""
+    return lambda frame, subframe: scene.frame_set(frame, subframe=subframe)
 
 
 @contextmanager

@@ -27,8 +27,9 @@ from ..objects.camera import read_camera, read_views
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIAL, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
+from ..objects.motion import GoTo, read_shutters
 from ..objects.surfaces import VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
-from ..objects.views import View, in_one_file
+from ..objects.views import View, in_one_file, wanted_views
 from ..objects.visibility import (
     VisibleObject,
     hidden_from_camera,
@@ -110,15 +111,13 @@ class SceneDescription:
             return None
         return make_plan(self.volumes, self.lights, self.camera, settings, surfaces=self.surfaces)
 
-    def workload(self, depth_samples: int) -> Workload:
-        """The work of a render."""
+    def workload(self, depth_samples: int, suns: int | None = None) -> Workload:
+        """The work of a render. suns: as how many it computed the light, if it has ended."""
         boxes, channels = [box for box, _ in self.boxes], [channels for _, channels in self.boxes]
         lamps, worlds = len(self.lamps), len(self.environments)
-        lights = len(predicted_suns(merge_parallel(self.suns))) + lamps + worlds
-        surfaces = [surface.triangles.reshape(-1, 3) for surface in self.surfaces if len(surface.triangles)]
-        return estimate_workload(
-            boxes, self.camera, lights, depth_samples, max(channels), surfaces, lamps=lamps, worlds=worlds
-        )
+        lights = (len(predicted_suns(merge_parallel(self.suns))) if suns is None else suns) + lamps + worlds
+        others = {"surfaces": bool(self.opaque), "lamps": lamps, "worlds": worlds}
+        return estimate_workload(boxes, self.camera, lights, depth_samples, max(channels), **others)
 
     @property
     def lights(self) -> list[Sun | Lamp | Environment]:
@@ -137,6 +136,7 @@ def read_frame(
     reader: VolumeReader | None = None,
     check: Callable[[], None] = lambda: None,
     goes_on: bool = False,
+    go_to: GoTo | None = None,
 ) -> SceneDescription:
     """Read everything that a picture needs; bpy is not needed afterwards.
 
@@ -145,7 +145,8 @@ def read_frame(
 
     reader: has read volumes of this scene that have not changed since. check: called before each object; an exception
     that it raises stops the reading. goes_on: whether a frame without a volume is a picture for whatever reason, as in
-    animations; in a still it is one where volumes change in time.
+    animations; in a still it is one where volumes change in time. go_to: goes to frames at which the scene is looked at
+    for motion blur, and back; None for a picture without it.
 
     Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or in a still where no volume
     is left.
@@ -163,6 +164,8 @@ def read_frame(
         if shows_volume(hidden):
             description.unseen.append(str(problem))
         description.warnings += _refused(description, problem)
+    if go_to is not None:
+        _add_motion(description, depsgraph, go_to, check)
     panorama = camera.projection == "equirectangular"
     description.warnings += surface_warnings(description.opaque, panorama, composited(depsgraph.scene))
     if not description.volumes:
@@ -177,15 +180,31 @@ def read_frame(
     return description
 
 
+def _add_motion(
+    description: SceneDescription, depsgraph: "bpy.types.Depsgraph", go_to: GoTo, check: Callable[[], None]
+) -> None:
+    """Add what moves while the shutter is open. Raises as `read_shutters`."""
+    several = wanted_views(depsgraph.scene.render)
+    shutter, *shutters = read_shutters(depsgraph, [None, *several], go_to, check)
+    description.camera = replace(description.camera, shutter=shutter)
+    description.views = [
+        replace(view, camera=replace(view.camera, shutter=own))
+        for view, own in zip(description.views, shutters or [shutter])
+    ]
+
+
 def read_scene(
-    depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = None, check: Callable[[], None] = lambda: None
+    depsgraph: "bpy.types.Depsgraph",
+    reader: VolumeReader | None = None,
+    check: Callable[[], None] = lambda: None,
+    go_to: GoTo | None = None,
 ) -> SceneDescription:
     """As `read_frame`, for what needs light.
 
     Raises SceneError, with the reasons, also where no light is left, and where no volume is, unless all are empty in
     this frame.
     """
-    description = read_frame(depsgraph, reader, check)
+    description = read_frame(depsgraph, reader, check, go_to=go_to)
     if not description.volumes and not description.empty:
         require_volumes(description)
     require_light(description)

@@ -77,7 +77,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         min=2,
         max=256,
         soft_max=32,
-        description="Rays through each pixel where depth of field blurs the picture. More give less noise",
+        description="Rays through each pixel where depth of field or motion blur is on. More give less noise",
     )
     viewport_blur: BoolProperty(
         name="Blur in Viewport",

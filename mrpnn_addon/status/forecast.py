@@ -11,10 +11,11 @@ import numpy as np
 from ...inference.plan.lights import predicted_suns
 from ...inference.plan.plan import merge_parallel
 from ...inference.scene import SceneError, Sun
-from ..nodes.material import SURFACES, shows_volume
+from ..nodes.material import shows_volume
 from ..objects.camera import read_camera
 from ..objects.lights import read_lamp, read_suns
 from ..objects.placement import has_zero_scale, placement_problem
+from ..objects.surfaces import is_transparent
 from ..objects.views import wanted_views
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
 from ..objects.workload import estimate_workload
@@ -63,7 +64,7 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     settings = scene_settings(depsgraph.scene).settings()
     try:
         camera, warnings = read_camera(depsgraph)
-        boxes, channels, volumes, lamps, lights, placed, surfaces = [], 1, 0, 0, [], 0, []
+        boxes, channels, volumes, lamps, lights, placed, surfaces = [], 1, 0, 0, [], 0, False
         for shown in visible_objects(depsgraph):
             if shows_volume(shown.object):
                 if not (
@@ -83,16 +84,17 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
                 lights += suns
                 placed += others
                 warnings += noted
-            elif shown.object.type in SURFACES:
-                corners = np.array(shown.object.bound_box, float)
-                surfaces.append(corners @ shown.matrix[:3, :3].T + shown.matrix[:3, 3])
+            elif shown.object.type == "MESH" and not is_transparent(shown.object):
+                surfaces = True
         world = lights_volumes(depsgraph.scene.world)
         sky = sky_seconds(depsgraph, camera)
     except SceneError as error:
         return Forecast(0, 0, 0, 0, 0.0, [], str(error))
-    count = len(predicted_suns(merge_parallel(lights))) + placed + world
-    more: dict[str, Any] = {"lamps": placed, "worlds": int(world), "sky": sky}
-    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels, surfaces, **more)
+    suns = merge_parallel(lights)
+    # Surfaces shadow each part of a soft sun differently.
+    count = len(suns if surfaces else predicted_suns(suns)) + placed + world
+    more: dict[str, Any] = {"surfaces": surfaces, "lamps": placed, "worlds": int(world), "sky": sky}
+    workload = estimate_workload(boxes, camera, count, settings.depth_samples, channels, **more)
     points = workload.window * settings.depth_samples * workload.lights
     seconds = estimate_seconds(workload, settings.threads or os.cpu_count() or 1, calibration())
     seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)

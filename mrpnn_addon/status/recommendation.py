@@ -37,8 +37,6 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
     """What suits what renders show, without reading volumes."""
     scene = depsgraph.scene
     needs, surfaces = [], False
-    if scene.render.use_motion_blur:
-        needs.append("motion blur")
     for shown in visible_objects(depsgraph):
         kind = shown.object.type
         if kind in SURFACES and not shows_volume(shown.object):

@@ -9,6 +9,7 @@ from ...inference.scene import SceneError
 from ..baking.baked_scene import stale_light
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.changes import scene_state
+from ..scene.kept_frame import goes_to
 from ..scene.reader import read_frame
 from ..settings.properties import scene_settings
 from ..volumes.reader import VolumeReader
@@ -44,7 +45,7 @@ def check_scene(depsgraph: "bpy.types.Depsgraph", reader: VolumeReader | None = 
     state, settings = scene_state(depsgraph.scene), scene_settings(depsgraph.scene).settings()
     try:
         warnings = check_runtime()
-        scene = read_frame(depsgraph, reader)
+        scene = read_frame(depsgraph, reader, go_to=goes_to(depsgraph.scene.original))
         plan = scene.plan(settings)
         voxels = {volume.name: volume.density.shape for volume, _ in scene.volumes}
         _last = SceneCheck(

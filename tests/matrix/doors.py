@@ -168,8 +168,12 @@ def animation(shot: Shot) -> None:
 
 
 def viewport(shot: Shot) -> None:
-    """Every picture of Rendered shading, in a view that is the camera's: the last one is F12's layer."""
+    """Every picture of Rendered shading, in a view that is the camera's: the last one is F12's layer.
+
+    Without motion blur, which no viewport shows.
+    """
     engine, scene = shot.package.mrpnn_addon.engine, shot.scene
+    scene.render.use_motion_blur = False
     depsgraph = blender_scenes.depsgraph()
     description = shot.package.mrpnn_addon.scene.reader.read_view(depsgraph, view_3d())
     lens, part = scene.camera.data, engine.viewport.WHOLE
@@ -359,8 +363,8 @@ def command_render(shot: Shot) -> None:
     for view_layer in shot.scene.view_layers:
         view_layer.use_pass_cryptomatte_object = view_layer.use_pass_position = view_layer.use_pass_shadow = True
         view_layer.mrpnn.use_pass_median_depth = True
-    # Depth of field has no deep samples.
-    deep = [] if shot.scene.camera.type == "CAMERA" and shot.scene.camera.data.dof.use_dof else ["--deep"]
+    # Blurred pictures have no deep samples.
+    deep = [] if shot.row["camera"] in ("lens", "moving") else ["--deep"]
     (frame,) = run_command(shot, "render", *deep, "--output", str(path))["frames"]
     assert all(Path(file).exists() for file in frame["files"])
     for suffix in shot.suffixes:

@@ -295,6 +295,17 @@ def lens(stage: Stage) -> None:
     dof.focus_object.location = 0.3, -2.0, 0.5
 
 
+def moving(stage: Stage) -> None:
+    """Motion blur of a camera that passes by while it turns."""
+    render, passing = stage.scene.render, camera(stage)
+    render.use_motion_blur, render.motion_blur_shutter = True, 1.0
+    (x, *_), (*_, turn) = passing.location, passing.rotation_euler
+    for step in (-1, 1):
+        passing.location.x, passing.rotation_euler.z = x + 0.5 * step, turn + 0.1 * step
+        for path in ("location", "rotation_euler"):
+            passing.keyframe_insert(path, frame=stage.frame + step)
+
+
 def panorama(stage: Stage) -> None:
     lens = camera(stage, type="PANO").data
     settings = lens if hasattr(lens, "panorama_type") else lens.cycles
@@ -427,6 +438,7 @@ DIMENSIONS: dict[str, dict[str, Build]] = {
         "border": border,
         "shift": lambda stage: camera(stage, shift_x=0.15, shift_y=-0.1),
         "lens": lens,
+        "moving": moving,
     },
     "film": {
         "opaque": film(False, 1.0),

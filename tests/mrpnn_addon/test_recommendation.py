@@ -65,11 +65,9 @@ def test_mirrors_and_glass_need_baked_light(way, scene, shader, values, reason):
     assert way().way == "baked light" and f"has {reason}, which" in way().reason
 
 
-def test_a_shutter_needs_baked_light_and_a_lens_does_not(way, scene):
-    scene.camera.data.dof.use_dof = True
+def test_blur_needs_no_more_than_the_layer(way, scene):
+    scene.camera.data.dof.use_dof = scene.render.use_motion_blur = True
     assert way().way == "layer"
-    scene.render.use_motion_blur = True
-    assert way().way == "baked light" and "has motion blur, which" in way().reason
 
 
 @pytest.mark.parametrize("kind", ["SUN", "POINT", "SPOT", "AREA"])

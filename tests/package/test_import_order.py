@@ -19,7 +19,7 @@ PACKAGES = {
     "panels": ("operators", "mrpnn_addon", "inference"),
     "training": ("evaluation", "inference"),
     "benchmarks": ("tests", "training", "mrpnn_addon", "evaluation", "inference"),
-    "gallery": ("benchmarks", "packages", "training", "mrpnn_addon"),
+    "gallery": ("benchmarks", "packages", "training", "mrpnn_addon", "evaluation"),
 }
 # Modules that exist only inside Blender.
 BLENDER = {"bpy", "bpy_extras", "bmesh", "gpu", "gpu_extras", "mathutils", "openvdb", "pyopenvdb"}

@@ -83,6 +83,35 @@ def sweep_radiance(sweep: Fields) -> int:
     return len(light)
 
 
+def sweep_ahead(sweep: Fields) -> int:
+    """Follow parallel rays through slices: I = S + (I_0 - S) exp(-a tau) over each half of a slice."""
+    shape = count, rows, columns = sweep["shape"]
+    strides = sweep["strides"] * sweep["extinction"].itemsize
+
+    def slices(values: np.ndarray) -> list[np.ndarray]:
+        return [np.lib.stride_tricks.as_strided(one, shape, strides) for one in values.reshape(-1, sweep["cells"])]
+
+    media, found = [*slices(sweep["extinction"]), *slices(sweep["light"])], slices(sweep["ahead"])
+    light, clear = sweep["rays"][:-1].reshape(sweep["sources"], sweep["scales"], *sweep["size"]), sweep["rays"][-1]
+    for k in range(count)[:: -1 if sweep["sign"] > 0 else 1]:
+        (f, g), (i, j) = sweep["fractions"][k], sweep["starts"][k]
+        here = (..., slice(i, i + rows + 1), slice(j, j + columns + 1))
+        # Cells at rays that lie before them, 0 outside.
+        padded = np.stack([np.pad(values[k], 1) for values in media])
+        across = (1 - f) * padded[:, 1:] + f * padded[:, :-1]
+        dense, *sources = (1 - g) * across[..., 1:] + g * across[..., :-1]
+        passed = np.exp(-sweep["scale"][:, None, None] * np.float32(sweep["half_step"]) * dense)
+        source = np.array(sources)[:, None]
+        middle = (light[here] - source) * passed + source
+        light[here] = (middle - source) * passed + source
+        halfway = clear[here] * passed[0]
+        clear[here] = halfway * passed[0]
+        for to, values in zip(found, [*middle.reshape(-1, rows + 1, columns + 1), halfway]):
+            between = (1 - f) * values[:-1] + f * values[1:]
+            to[k] = (1 - g) * between[:, :-1] + g * between[:, 1:]
+    return count
+
+
 def fill_lattice(part: Fields) -> int:
     """The logarithm of a density, and what a depth lets pass, interpolated and rounded to 65536 steps."""
     density, depth, visibility = (
@@ -110,6 +139,7 @@ def refined(grid: Fields) -> np.ndarray:
 
 KERNELS: dict[str, Callable[[Fields], int]] = {
     "fill_lattice": fill_lattice,
+    "sweep_ahead": sweep_ahead,
     "sweep_ordinates": sweep_ordinates,
     "sweep_radiance": sweep_radiance,
 }

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from inference import Surface
+from inference.baking.light_ahead import light_ahead
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import Between
 from inference.grids import working_cube
@@ -192,6 +193,7 @@ def transport(random: np.random.Generator) -> None:
     shape = tuple(random.integers(1, 12, 3).tolist())
     extinction, emission = (spoiled(random, shape, np.float64) for _ in range(2))
     sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])))
+    light_ahead(spoiled(random, shape), spoiled(random, (int(random.integers(1, 4)), *shape)), direction(random))
     equation = couple(spoiled(random, shape, np.float64), 0.1)
     solve(equation, spoiled(random, shape, np.float64))
 

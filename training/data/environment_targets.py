@@ -37,6 +37,7 @@ from inference.features.mip_lattices import density_pyramid, padded_levels
 from inference.features.stencil import LOW_POINTS, SPARSE
 from inference.grids.working_cube import fit_cube, level0_density
 from inference.network.environment_features import probe_positions
+from inference.source_terms.cell_sources import EnteringLight
 from inference.transport.discrete_ordinates import LEVEL
 from training.data.descriptors import Levels, describe_points
 from training.data.environments import random_environment
@@ -66,7 +67,8 @@ def transport_rows(pyramid, positions, omega, sigma_hat, anisotropy, radiance):
     absorbed = np.empty((len(positions), count + 1, probes.shape[1], len(ALBEDOS), 4), np.float16)
     for thickness, g in np.unique(np.stack([sigma_hat, anisotropy], axis=1), axis=0):
         own = np.flatnonzero((sigma_hat == thickness) & (anisotropy == g))
-        lattices = solve_environment(coarse, thickness, g, radiance)
+        entering = [EnteringLight(channel / (4.0 * np.pi)) for channel in np.asarray(radiance).T]
+        lattices = solve_environment(coarse, thickness, g, entering)
         shape = *probes[own].shape[:2], 4
         scattered, seldom = (read_lattice(lattice, probes[own].reshape(-1, 3)) for lattice in lattices)
         light[own] = np.moveaxis(scattered.reshape(*shape, count), 3, 1)

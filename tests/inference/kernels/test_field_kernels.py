@@ -9,6 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from inference import Medium, PointLight, Surface, Volume
+from inference.baking.light_ahead import light_ahead
 from inference.environments.open_depths import OpenDepths, direction_depths
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import (
@@ -253,6 +254,18 @@ def test_swept_emission(shape):
     random = np.random.default_rng(0)
     extinction, emission = 10.0 ** random.uniform(-9.0, 4.0, shape), random.random(shape)
     expected, variants = in_numpy_and_compiled(lambda: sweep_radiance(extinction, emission, 0.1, 6))
+    for found in variants:
+        for one, other in zip(expected, found):
+            assert_close(one, other)
+
+
+@pytest.mark.parametrize("shape", [(12, 20, 9), (1, 1, 7), (16, 16, 16)])
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_light_ahead(direction, shape):
+    random = np.random.default_rng(0)
+    extinction = (10.0 ** random.uniform(-9.0, 3.0, shape)).astype(np.float32)
+    sources = random.random((2, *shape)).astype(np.float32)
+    expected, variants = in_numpy_and_compiled(lambda: light_ahead(extinction, sources, np.array(direction) * 3.0))
     for found in variants:
         for one, other in zip(expected, found):
             assert_close(one, other)

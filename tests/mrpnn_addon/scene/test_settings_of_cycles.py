@@ -30,8 +30,8 @@ OBJECT = {
     "a reference": "cycles|data|type|material_slots",
 }
 OBJECT_CYCLES = {
-    "belongs to a setting of the scene that is named": "use_(camera|distance)_cull|use_(deform_)?motion.*|motion_steps"
-    "|ao_distance",
+    "rendered: test_motion_blur": "use_motion_blur|motion_steps",
+    "belongs to a setting of the scene that is named": "use_(camera|distance)_cull|use_deform_motion|ao_distance",
     "of surfaces": "shadow_terminator.*|is_caustics.*|dicing_rate|use_adaptive_subdivision",
 }
 LAYER_COLLECTION = {
@@ -96,7 +96,7 @@ RENDER = {
     "other engines'": "filter_size|use_freestyle|line_thickness.*|use_high_quality_normals|anisotropic_filter",
     "of surfaces": "bake|bake_.*|use_bake.*",
     "of images' files": "use_texture_cache|use_auto_generate_texture_cache",
-    "belongs to a setting that is named": "motion_blur_.*",
+    "rendered: test_motion_blur": "use_motion_blur|motion_blur_.*",
 }
 VIEW_LAYER = {
     "rendered: test_layers, test_mattes, test_light_groups, test_visibility": "use|use_pass_(combined|z|emit|position"
@@ -105,7 +105,7 @@ VIEW_LAYER = {
     "how Cycles samples": "samples",
     "passes that this engine has not": "use_pass_.*|.*cryptomatte.*|.*aov.*|pass_alpha_threshold",
     "of surfaces": "use_ao|use_grease_pencil|use_freestyle|freestyle_settings",
-    "belongs to a setting that is named": "use_motion_blur",
+    "rendered: test_motion_blur": "use_motion_blur",
     "a reference": "eevee|cycles|depsgraph|has_export_collections|mrpnn|name",
 }
 

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of cameras that move while the shutter is open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import Camera, Medium, SceneError, Settings, Shutter, Volume, render
+from inference.blur.eyes import find_eyes
+from inference.blur.shutter import camera_at, matrix_at, shutter_times
+
+
+def placed(x=0.0, turn=0.0, scale=1.0):
+    """A transform 2 units above the origin, turned about z."""
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    matrix[:3, :3] *= scale
+    matrix[:3, 3] = x, 0.0, 2.0
+    return matrix
+
+
+def ball(cells=24):
+    axis = (np.arange(cells) + 0.5) / cells * 2.0 - 1.0
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    frame = np.diag([0.2 / cells, 0.2 / cells, 0.2 / cells, 1.0])
+    frame[:3, 3] = (0.5 - 0.5 * cells) * 0.2 / cells
+    volume = Volume((x**2 + y**2 + z**2 < 0.8).astype(np.float32), frame, name="ball")
+    return volume, Medium(sigma_t=20.0, albedo=(0.0, 0.0, 0.0))
+
+
+CAMERA = Camera(placed(), resolution=(64, 64), fov=0.5)
+
+
+def test_transforms_between_two_are_on_the_way():
+    ends = np.array([placed(-1.0, 0.2, 1.0), placed(1.0, 1.4, 3.0)])
+    assert np.allclose(matrix_at(ends, 0.0), ends[0]) and np.allclose(matrix_at(ends, 1.0), ends[1])
+    assert np.allclose(matrix_at(ends, 0.25), placed(-0.5, 0.5, 1.5))
+    # A mirror stays one: no time in between is singular.
+    mirrored = ends @ np.diag([-1.0, 1.0, 1.0, 1.0])
+    assert all(np.linalg.det(matrix_at(mirrored, time)[:3, :3]) < -0.9 for time in np.linspace(0.0, 1.0, 9))
+    # Half a turn, whose axis is not told.
+    half = matrix_at(np.array([placed(), placed(turn=np.pi)]), 0.5)
+    assert np.isfinite(half).all() and np.linalg.det(half[:3, :3]) == pytest.approx(1.0)
+    three = np.array([placed(0.0), placed(1.0), placed(5.0)])
+    assert matrix_at(three, 0.75)[0, 3] == pytest.approx(3.0)
+
+
+def test_a_zoom_moves_the_edges_of_the_picture_evenly():
+    camera = replace(CAMERA, shutter=Shutter(fovs=(0.4, 0.8)))
+    middle = np.tan(0.5 * camera_at(camera, 0.5).fov)
+    assert middle == pytest.approx(0.5 * (np.tan(0.2) + np.tan(0.4)))
+
+
+def test_times_follow_the_shutter_curve():
+    u = (np.arange(1000) + 0.5) / 1000
+    assert np.array_equal(shutter_times(Shutter(), u), u)
+    # A triangle: the density of times is its height.
+    times = shutter_times(Shutter(curve=(0.0, 1.0, 0.0)), u)
+    counts = np.histogram(times, np.linspace(0.0, 1.0, 11))[0]
+    assert np.allclose(counts, [20, 60, 100, 140, 180, 180, 140, 100, 60, 20], atol=4)
+
+
+def test_each_pixel_looks_at_times_all_over_the_shutter():
+    eyes = find_eyes(replace(CAMERA, shutter=Shutter([placed(-1.0), placed(1.0)])), 4)
+    for times in eyes.times.reshape(-1, 4):
+        assert sorted((times * 4).astype(int)) == [0, 1, 2, 3]
+    assert np.allclose([eye.world_matrix[0, 3] for eye in eyes.cameras], 2.0 * eyes.times - 1.0)
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic", "equirectangular"])
+@pytest.mark.parametrize("curve", [(), (0.0, 1.0)])
+def test_a_picture_is_the_mean_of_pictures_at_many_times(projection, curve):
+    camera = replace(CAMERA, projection=projection, ortho_scale=1.0, longitude=(-0.3, 0.3), latitude=(-1.8, -1.2))
+    if projection == "equirectangular":
+        camera = replace(camera, latitude=(-0.3, 0.3))
+    matrices = [placed(-0.2), placed(0.2, 0.3)]
+    moving = replace(camera, shutter=Shutter(matrices, curve=curve))
+    found = render([ball()], [], moving, Settings(blur_rays=8)).alpha
+    times = (np.arange(96) + 0.5) / 96
+    weight = np.interp(times, [0.0, 1.0], curve) if curve else np.ones(96)
+    still = [render([ball()], [], replace(camera, world_matrix=matrix_at(matrices, time))).alpha for time in times]
+    expected = np.average(still, axis=0, weights=weight)
+    sharp = render([ball()], [], camera).alpha
+    size = expected[expected > 0.01].mean()
+    assert np.sqrt(((found - expected) ** 2).mean()) < 0.03 * size
+    assert np.sqrt(((sharp - expected) ** 2).mean()) > 0.15 * size
+
+
+def test_deep_samples_are_refused_and_impossible_shutters():
+    moving = replace(CAMERA, shutter=Shutter([placed(-0.2), placed(0.2)]))
+    with pytest.raises(SceneError, match="deep samples.*motion blur"):
+        render([ball()], [], moving, Settings(outputs=frozenset({"deep"})))
+    for values in ({"world_matrices": [placed()]}, {"fovs": (0.5, 4.0)}, {"curve": (0.0, 0.0)}):
+        with pytest.raises(SceneError, match="camera: "):
+            Shutter(**values)
