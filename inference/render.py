@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .blur.eyes import find_eyes
+from .blur.shutter import moved_back
 from .grids.bound_medium import scattering_channels
 from .grids.grid import Grid
 from .grids.sun_optical_depth import SunOpticalDepth
@@ -209,7 +210,7 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     settings, media = context.settings, scene.media(channels)
     near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
-    # Rays of several eyes share the depth samples of a pixel. They are alike: one on each would be in its middle always.
+    # Rays of several eyes share the depth samples of a pixel. One on each would always be in its middle.
     shared = 1 if scene.eyes is None else max(scene.eyes.rays // 2, 1)
     options = MarchOptions(
         max(-(-settings.depth_samples // shared), min(settings.depth_samples, 2)),
@@ -272,6 +273,7 @@ def prepare_scene(
     report.warnings += plan.linking_warnings()
     sun_depths, lamps = _shadows(context, plan, grids, surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
+    motion = [] if eyes is None else [moved_back(volume.motion, eyes.times) for volume, _ in plan.volumes]
     phases = [medium.scattered for _, medium in plan.volumes]
     see_ahead = len(covering) == len(surfaces) and (ends or not surfaces)
     network = _load_network(context, plan)
@@ -293,6 +295,7 @@ def prepare_scene(
         depth_buffer=depth_buffer,
         eyes=eyes,
         eye_distances=distances,
+        motion=motion if any(found is not None for found in motion) else (),
         extended_lights=ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None,
         groups=groups,
         network=network,

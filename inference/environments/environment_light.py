@@ -20,7 +20,7 @@ from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import DirectionWeight, Environment, PlaceLattice, pixel_directions, pixel_solid_angles
 from ..source_terms.cell_sources import EnteringLight
-from ..transport.discrete_ordinates import DiscreteOrdinates
+from ..transport.discrete_ordinates import DiscreteOrdinates, interpolated
 from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .blurred_environment import blurred
 
@@ -99,16 +99,9 @@ class Skies:
                 share[:] = weight(positions)
         return shares
 
-    def visible(self, positions: np.ndarray) -> np.ndarray | None:
-        """Share float32 (S, N, 50) of the light from DIRECTIONS that surfaces let through to world positions (N, 3).
-
-        None where they hide nothing.
-        """
-        if not self.hidden:
-            return None
-        visible = np.ones((len(self.weights), len(positions), len(DIRECTIONS)), np.float32)
-        visible[self.hidden] = [self._visible(number, positions, len(DIRECTIONS)) for number in self.hidden]
-        return visible
+    def visible(self, positions: np.ndarray) -> dict[int, np.ndarray]:
+        """Share float32 (N, 50) of each hidden sky's light from DIRECTIONS that reaches world positions (N, 3)."""
+        return {number: self._visible(number, positions, len(DIRECTIONS)) for number in self.hidden}
 
     @functools.cached_property
     def hidden(self) -> list[int]:
@@ -270,9 +263,10 @@ def solve_environment(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lattices of the fluence and flux over 4 pi of an environment's light, as `environment_lattice`.
 
-    First of its C channels. Then, on cells twice as large, of a medium of each of ALBEDOS, with the C channels and even
-    light of radiance 1: (34, 34, 34, 4 ALBEDOS (C + 1)). coarse: a level of the density pyramid, float32 (x, y, z).
-    sigma_hat: extinction per unit density times the cube's edge. entering: radiance over 4 pi of each channel.
+    First of its C channels, those that are not visible everywhere solved on larger cells. Then, on cells twice as
+    large, of a medium of each of ALBEDOS, with the C channels and even light of radiance 1: (34, 34, 34, 4 ALBEDOS
+    (C + 1)). coarse: a level of the density pyramid, float32 (x, y, z). sigma_hat: extinction per unit density times
+    the cube's edge. entering: radiance over 4 pi of each channel.
     triangles: (T, 3, 3), in the cube's frame, of surfaces that end the light of channels which are not visible
     everywhere, or None. Raises Cancelled.
     """
@@ -292,9 +286,13 @@ def solve_environment(
             solved.append(light)
         return solved
 
-    even, light = EnteringLight(np.full(len(ORDINATES), 1.0 / (4.0 * np.pi))), solve(coarse, 1.0, entering)
+    even = EnteringLight(np.full(len(ORDINATES), 1.0 / (4.0 * np.pi)))
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
     halve(np.ascontiguousarray(coarse), coarser)
+    hidden = [channel for channel in entering if channel.visible is not None]
+    shaded = (np.stack([interpolated(values) for values in light]) for light in solve(coarser, 1.0, hidden))
+    even_light = iter(solve(coarse, 1.0, [channel for channel in entering if channel.visible is None]))
+    light = [next(even_light if channel.visible is None else shaded) for channel in entering]
     absorbed = [values for albedo in ALBEDOS for values in solve(coarser, albedo, [*entering, even])]
     return environment_lattice(np.stack(light, axis=1)), environment_lattice(np.stack(absorbed, axis=1))
 

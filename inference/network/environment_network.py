@@ -95,9 +95,9 @@ class PreparedEnvironment:
         seldom, even = seldom_scattered(light, absorbed.swapaxes(2, 3), omega)
         x = inputs(density, along, opened, even, omega, self.thickness, self.anisotropy)
         ahead, open_to = read_image(self.blurred, omega[first])[view], opened.radiance(self.radiance)
-        for sky in self.skies.hidden if visible is not None else ():
-            own, seen = slice(sky * channels, (sky + 1) * channels), visible[sky]
-            lobes = lobe_weights(omega[first], np.clip(blurs(self.anisotropy), -SHARPEST, SHARPEST))[view]
+        for sky, seen in visible.items():
+            own = slice(sky * channels, (sky + 1) * channels)
+            lobes = lobe_weights(omega[first], [np.clip(g, -SHARPEST, SHARPEST) for g in blurs(self.anisotropy)])[view]
             ahead[..., own] *= visible_ahead(lobes, self.radiance[:, own], seen)[..., None]
             open_to[..., own] = opened.radiance(self.radiance[:, own], seen)
         ahead, open_to = _reaching(ahead, shares), _reaching(open_to, shares)

@@ -212,7 +212,10 @@ class RayPredictor(Predictor):
                 self._environment = None
                 self._environment = shared.environments.get(key)
             if self._environment is None:
-                medium, entering = (self.coarse, conditions.sigma_hat, self.anisotropy), skies.entering(ordinates, self.cube)
+                medium, entering = (
+                    (self.coarse, conditions.sigma_hat, self.anisotropy),
+                    skies.entering(ordinates, self.cube),
+                )
                 solved = solve_environment(*medium, entering, conditions.triangles, tasks.cancel)
                 if skies.vary:
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))

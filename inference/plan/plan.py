@@ -67,9 +67,10 @@ class SceneLights:
     """A scene's lights as they are computed.
 
     suns: those that contribute, parallel ones merged. environments: light from everywhere, without its peaks. sky: the
-    same as they are without surfaces; empty if none hides any of them. lamps: that emit light. lamp_clusters: (G,), lamps, by number, that multiple scattering in a group is
-    predicted of at once. predicts_lamps: whether the network knows lamps. reflects: whether the light that surfaces
-    send into volumes becomes one more environment. planned, left_out: sentences.
+    same as they are without surfaces; empty if none hides any of them. lamps: that emit light. lamp_clusters:
+    (G,), lamps, by number, that multiple scattering in a group is predicted of at once. predicts_lamps: whether the
+    network knows lamps. reflects: whether the light that surfaces send into volumes becomes one more environment.
+    planned, left_out: sentences.
     """
 
     suns: list[Sun]

@@ -275,7 +275,7 @@ class DiscreteOrdinates:
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
         """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
-        return _interpolated(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        return interpolated(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
 
     def _limit_flux(self, field: np.ndarray) -> None:
         """Limit the flux of a field, (5, x, y, z), such that no source is negative."""
@@ -289,7 +289,7 @@ class DiscreteOrdinates:
         return means
 
 
-def _interpolated(values: np.ndarray) -> np.ndarray:
+def interpolated(values: np.ndarray) -> np.ndarray:
     """Values (x, y, z) on cells half as large, linear between the centres of the large ones."""
     for axis in range(3):
         v = np.moveaxis(np.pad(values, [(int(a == axis),) * 2 for a in range(3)], mode="edge"), axis, 0)

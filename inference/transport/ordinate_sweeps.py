@@ -72,7 +72,8 @@ class OrdinateSweeps:
         """
         links = [None] * len(SIDES) if self.links is None else self.links
         if visible is not None:
-            links = [_entering_links(own, part, k) for k, (own, part) in enumerate(zip(links, np.split(visible, SIDE_ENDS)))]
+            parts = np.split(visible, SIDE_ENDS)
+            links = [_entering_links(own, part, k) for k, (own, part) in enumerate(zip(links, parts))]
         sums = [swept] * len(SIDES) if len(swept) == SUMS else np.split(swept, SIDE_ENDS)
         inflow = [None] * len(SIDES) if entering is None else np.split(entering, SIDE_ENDS)
         scattered = [None] * len(SIDES) if beams is None else np.split(beams, SIDE_ENDS)
@@ -129,7 +130,8 @@ class OrdinateSweeps:
 def _open_links(clear: np.ndarray, side: int) -> np.ndarray:
     """Whether light passes from the cells that the steps of one of SIDES come from.
 
-    clear: bool (3, n, n, n), whether it passes to the next cell along each axis. float32 (slices, D, b, c): 0 where a surface cuts the link, else 1.
+    clear: bool (3, n, n, n), whether it passes to the next cell along each axis. float32 (slices, D, b, c): 0 where
+    a surface cuts the link, else 1.
     """
     axis, sign = SIDES[side]
     links: list[np.ndarray] = []
@@ -158,7 +160,7 @@ def _entering_links(links: np.ndarray | None, visible: np.ndarray, side: int) ->
         # The array's axes: that of the side, then the other two.
         for place, along in enumerate([step[axis], *np.delete(step, axis)]):
             if along:
-                face = [slice(None)] * 3
-                face[place] = 0 if along > 0 else -1
-                found[:, d][tuple(face)] = visible[:, d][tuple(face)]
+                face = np.moveaxis(found[:, d], place, 0), np.moveaxis(visible[:, d], place, 0)
+                first = 0 if along > 0 else -1
+                face[0][first] = face[1][first]
     return found

@@ -7,8 +7,8 @@ import pytest
 import training.rpnn  # noqa: F401  Lets settings name it.
 from inference import Environment, Medium, PointLight, RenderCache, SceneError, Settings, Sun, Surface, render
 from inference.image.reflected_light import open_volume
-from inference.occluders.seen_surfaces import ROWS, behind, open_sky, see_surfaces, vantage
-from inference.scene.environment import PlaceWeight, pixel_solid_angles
+from inference.occluders.seen_surfaces import open_sky, see_surfaces, vantage
+from inference.scene.environment import PlaceLattice
 from tests.support.surfaces import rectangle
 from tests.support.volumes import box, camera, cloud
 
@@ -130,9 +130,10 @@ def test_flat_ground_does_not_shade_itself():
 
 def test_ground_hides_the_sky_below_it():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-    [sky] = open_sky([ground(size=1000.0)], corners, np.zeros(3))
+    sky = open_sky([ground(size=1000.0)], corners, np.zeros(3))
+    assert sky.visibility is None
     assert sky.fraction[:15].min() == 1.0 and sky.fraction[17:].max() == 0.0
-    hidden = behind(Environment(np.ones((4, 8, 3), np.float32)), sky)
+    hidden = sky.behind(Environment(np.ones((4, 8, 3), np.float32)))
     assert np.all(hidden.radiance[:2] == 1.0) and np.all(hidden.radiance[2:] == 0.0)
 
 
@@ -165,30 +166,21 @@ def test_even_light_passes_a_mesh_in_the_middle():
 def test_places_below_the_edge_of_a_roof_see_different_skies():
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
     roof = rectangle(-9.0, 0.0, -9.0, 9.0, 0.6)
-    skies = open_sky([roof], corners, np.zeros(3))
+    visibility = open_sky([roof], corners, np.zeros(3)).visibility
     places = np.array([[-0.25, 0.0, 0.25], [0.25, 0.0, 0.25], [0.25, 0.0, -0.25]])
-    shares = np.stack([sky.weight(places) for sky in skies])
-    assert shares.sum(axis=0) == pytest.approx(1.0)
-    up = np.stack([sky.fraction[0].mean() for sky in skies]) @ shares
-    assert up[0] < 0.2 and up[1] > 0.8
-    seen = np.einsum("kp,krc->prc", shares, [sky.fraction for sky in skies])
-    open_to = (seen * pixel_solid_angles(ROWS) / (2.0 * np.pi))[:, : ROWS // 2].sum(axis=(1, 2))
+    above = visibility.directions[:, 2] > 0.0
+    open_to = visibility.towards(places)[:, above].mean(axis=1)
     # Of the upper half of the sphere, the angle between the roof's edge and the opposite horizon.
-    expected = 0.5 + np.arctan2(places[:, 0], 0.6 - places[:, 2]) / np.pi
-    assert open_to == pytest.approx(expected, abs=0.08)
-
-
-def test_no_few_skies_stand_for_many_slits():
-    corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T
-    slats = [rectangle(x, x + 0.12, -9.0, 9.0, 0.51) for x in np.arange(-1.0, 1.0, 0.25)]
-    walls = [rectangle(-9.0, -0.51, -9.0, 9.0, 0.51), rectangle(0.51, 9.0, -9.0, 9.0, 0.51)]
-    assert not open_sky(slats + walls, corners, np.zeros(3))
+    assert open_to == pytest.approx(0.5 + np.arctan2(places[:, 0], 0.6 - places[:, 2]) / np.pi, abs=0.06)
+    assert visibility.towards(places)[:, ~above].min() == 1.0
+    assert visibility(places) == pytest.approx(0.5 * (1.0 + open_to), abs=1e-6)
 
 
 def test_light_that_reaches_places_in_parts_is_the_same_light():
     light = np.random.default_rng(0).uniform(0.0, 1.0, (8, 16, 3)).astype(np.float32)
-    ends = (-0.3, 0.2), (0.2, -0.3)
-    parts = [Environment(light, weight=PlaceWeight((x, None, z))) for x in ends for z in ends]
+    low, high, ends = np.full(3, -0.3), np.full(3, 0.2), np.float32([[1.0, 0.0], [0.0, 1.0]])
+    weights = [x[:, None, None] * z * np.ones((1, 2, 1), np.float32) for x in ends for z in ends]
+    parts = [Environment(light, weight=PlaceLattice(low, high, weight)) for weight in weights]
     settings = Settings(depth_samples=4, light_paths=False)
     whole, divided = picture([Environment(light)], [], settings), picture(parts, [], settings)
     assert divided.rgb == pytest.approx(whole.rgb, rel=2e-3, abs=2e-3 * whole.rgb.max())
