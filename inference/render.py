@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .blur.eyes import find_eyes
+from .blur.shutter import moved_back
 from .grids.bound_medium import scattering_channels
 from .grids.grid import Grid
 from .grids.sun_optical_depth import SunOpticalDepth
@@ -35,7 +36,7 @@ from .occluders.seen_surfaces import vantage
 from .outputs.requested import Outputs
 from .plan.joined_volumes import find_joins, with_joined
 from .plan.lights import without_lamps
-from .plan.plan import Channels, Plan, SortedScene, decide, plan_tiles, see_sky, sort_lights, sort_scene
+from .plan.plan import Channels, Plan, SortedScene, decide, fit_memory, see_sky, sort_lights, sort_scene
 from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
 from .runtime.cancellation import CancelToken
@@ -113,7 +114,7 @@ def _finished_parts(
             report.kernels = load_kernels().name
             context = RenderContext(settings, cache, tasks, Progress(progress), report)
             outputs = Outputs(settings.outputs, camera)
-            scene = prepare_scene(context, volumes, lights, camera, surfaces, joins=True)
+            scene = prepare_scene(context, volumes, lights, camera, surfaces, adapts=True)
             x0, y0, x1, y1 = camera.window
             framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0), tasks.each)
             yield from _render_passes(context, scene, framebuffer, outputs)
@@ -209,7 +210,7 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
     settings, media = context.settings, scene.media(channels)
     near = lamps_nearby(scene, channels) if scene.lamps and settings.multiple else []
     detail = settings.most_detail if near else 1
-    # Rays of several eyes share the depth samples of a pixel. They are alike: one on each would be in its middle always.
+    # Rays of several eyes share the depth samples of a pixel. One on each would always be in its middle.
     shared = 1 if scene.eyes is None else max(scene.eyes.rays // 2, 1)
     options = MarchOptions(
         max(-(-settings.depth_samples // shared), min(settings.depth_samples, 2)),
@@ -240,20 +241,21 @@ def prepare_scene(
     lights: Sequence[Light],
     camera: Camera,
     surfaces: Sequence[Surface] = (),
-    joins: bool = False,
+    adapts: bool = False,
 ) -> PreparedScene:
     """Plan a scene and prepare what does not depend on the colour channel: the stages up to the coarse transport.
 
-    joins: whether volumes that overlap may become one.
+    adapts: whether volumes may become other ones that look about the same.
 
     Raises SceneError and Cancelled.
     """
     report, settings, cancel, cache = context.report, context.settings, context.cancel, context.cache
     asked = sort_scene(volumes, lights, surfaces)
-    asked = _joined(context, asked, camera) if joins else asked
+    asked = _joined(context, asked, camera) if adapts else asked
     placed = sort_lights(asked, see_sky(asked, camera, cancel), settings)
     # Memory is refused before any is taken.
-    plan_tiles(asked, placed, placed.suns, camera, settings)
+    asked, coarser = fit_memory(asked, placed, camera, settings, adapts)
+    report.warn(coarser)
     with report.stage("shadows"):
         grids = cache.grids([volume for volume, _ in asked.volumes], cancel)
     with report.stage("surfaces"):
@@ -271,6 +273,7 @@ def prepare_scene(
     report.warnings += plan.linking_warnings()
     sun_depths, lamps = _shadows(context, plan, grids, surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
+    motion = [] if eyes is None else [moved_back(volume.motion, eyes.times) for volume, _ in plan.volumes]
     phases = [medium.scattered for _, medium in plan.volumes]
     see_ahead = len(covering) == len(surfaces) and (ends or not surfaces)
     network = _load_network(context, plan)
@@ -292,6 +295,7 @@ def prepare_scene(
         depth_buffer=depth_buffer,
         eyes=eyes,
         eye_distances=distances,
+        motion=motion if any(found is not None for found in motion) else (),
         extended_lights=ExtendedLights(camera, extended, phases, see_ahead, cancel) if extended else None,
         groups=groups,
         network=network,

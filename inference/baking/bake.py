@@ -10,7 +10,7 @@ from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
 from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
-from ..points.group_radiance import GroupRadiance
+from ..points.group_radiance import STEPS_PER_POINT, GroupRadiance
 from ..render import prepare_scene
 from ..render_cache import RenderCache
 from ..runtime.cancellation import CancelToken
@@ -21,12 +21,29 @@ from ..scene.camera import Camera
 from ..scene.description import Medium, Surface, Volume
 from ..scene.light import Light
 from ..scene.settings import Settings
-from .directional_factor import DETAIL_SHARPNESS, BakedView, NodeGrid
-from .directions import FINE_NODES, MAX_POINTS, DirectionFit, expected_work, make_lobe, stride_of
+from .directional_factor import ANCHORS, DETAIL_SHARPNESS, BakedView, NodeGrid
+from .directions import (
+    FINE_NODES,
+    IMPORTANT_SHARE,
+    MAX_POINTS,
+    DirectionFit,
+    expected_work,
+    make_lobe,
+    sampled_directions,
+    stride_of,
+)
 from .guided_light import GuidedLight, KnownLight, LightPart, PointGrid, grey_of
 from .lattice import DIRECTIONS, WEIGHTS, BakeLattice, Visibility, block_means, make_lattice
 from .lit_volume import LitVolume
-from .smooth_light import FEW, SKY_STRIDES, STRIDES, continued, importance_of, radiance_in_voxels
+from .smooth_light import (
+    FEW,
+    SKY_STRIDES,
+    STRIDES,
+    continued,
+    expected_predictions,
+    importance_of,
+    radiance_in_voxels,
+)
 
 # Least transmittance with which a direction counts in the mean over those that show a voxel.
 HARDLY_SEEN = 1e-3
@@ -38,8 +55,6 @@ POINTS_PER_BATCH = 1 << 16
 MEAN_PREDICTIONS = 6000
 # Predictions of the light of environments, which is smooth, over those of lights.
 SKY_SHARE = 0.5
-# Steps of the ray that a point marches, about, for the progress.
-STEPS_PER_POINT = 60.0
 
 
 def bake(
@@ -159,16 +174,31 @@ class _Bake:
         progress, plan = self.context.progress, self.scene.plan
         lights = len(plan.predicted_suns()) + plan.predicts_lamps * len(plan.lamps) + bool(self.scene.environments)
         jobs = lights * len(plan.channels)
-        wanted = [float(np.count_nonzero(self._wanted(v))) for v in range(len(self.lattices))]
-        points = sum(wanted)
-        if self.context.settings.directional:
-            for voxels, lattice, visibility in zip(wanted, self.lattices, self.visibilities):
-                thickness = visibility.most_extinction * lattice.voxel
-                points += expected_work(voxels, max(lattice.density.shape), thickness)
+        points = sum(map(self._expected_points, range(len(self.lattices))))
         progress.expect("transport", jobs * len(plan.groups))
         progress.expect("lattices", jobs * len(plan.groups))
         progress.expect("march", STEPS_PER_POINT * points * len(plan.channels))
         progress.expect("network", points * jobs)
+
+    def _expected_points(self, v: int) -> float:
+        """Predictions of each light in one volume, about."""
+        lattice, visibility = self.lattices[v], self.visibilities[v]
+        voxels, longest = float(np.count_nonzero(self._wanted(v))), max(lattice.density.shape)
+        thickness, smooth = visibility.most_extinction * lattice.voxel, "smooth_light" in self._switches
+        if self._sees_all_around and smooth and voxels > FEW:
+            points = IMPORTANT_SHARE * voxels / stride_of(longest, FINE_NODES, thickness) ** 3
+            expected = len(DIRECTIONS) * min(points, MEAN_PREDICTIONS)
+        else:
+            times = len(DIRECTIONS) if self._sees_all_around else 1
+            expected = times * expected_predictions(voxels, STRIDES if smooth else (1,))
+        if self.context.settings.directional:
+            anisotropy = self.scene.plan.volumes[v][1].anisotropy
+            directions = sampled_directions(
+                make_lobe([one.sun for one in self.scene.plan.predicted_suns()], anisotropy)
+            )
+            anchors = 0 if self._sees_all_around else len(ANCHORS) - 1
+            expected += expected_work(voxels, longest, thickness, len(directions), anchors)
+        return expected
 
     def _wanted(self, v: int) -> np.ndarray:
         """bool (nx, ny, nz): voxels whose light is baked."""
@@ -193,16 +223,25 @@ class _Bake:
         parts = light.parts if smooth and self.scene.thrown_back is None else (light, None)
         for part, strides in zip(parts, (STRIDES, SKY_STRIDES)):
             if part is not None:
+                strides = strides if "smooth_light" in self._switches else (1,)
+                expected = expected_predictions(np.count_nonzero(wanted), strides)
 
                 def predict(voxels: np.ndarray, part: GroupRadiance = part) -> np.ndarray:
+                    nonlocal expected
+                    # Whatever is left of what is expected is taken back at the end.
+                    self._expect_more(part, max(len(voxels) - expected, 0.0))
+                    expected = max(expected - len(voxels), 0.0)
                     return self._predicted(part, lattice.positions(voxels))
 
-                if "smooth_light" not in self._switches:
-                    strides = (1,)
                 found, predicted = radiance_in_voxels(wanted, importance, predict, strides)
+                self._expect_more(part, -expected)
                 radiance += found
                 report.count("voxels predicted", predicted)
         return radiance
+
+    def _expect_more(self, light: GroupRadiance, points: float) -> None:
+        for stage, amount in light.work.items():
+            self.context.progress.expect_more(stage, amount * points)
 
     def _in_voxels(self, v: int, values: np.ndarray, grid: PointGrid, wanted: np.ndarray) -> np.ndarray:
         """Light (nx, ny, nz, 3) in the wanted voxels, from that on a coarse grid."""

@@ -93,10 +93,13 @@ def stride_of(longest: int, most: int, thickness: float) -> int:
     return max(-(-longest // most), int(thin), 1)
 
 
-def expected_work(voxels: float, longest: int, thickness: float) -> float:
-    """Predictions of a fit, about; voxels: with light. Others: as for `stride_of`."""
+def expected_work(voxels: float, longest: int, thickness: float, directions: int, anchors: int) -> float:
+    """Predictions of a fit, about; voxels: with light.
+
+    directions: sampled_directions. anchors: 0 without a view. Others: as for `stride_of`.
+    """
     predictions = 0.0
-    for most, each, count in (FINE_NODES, PREDICTIONS, len(ANCHORS) - 1), (NODES, SMOOTH_PREDICTIONS, len(DIRECTIONS)):
+    for most, each, count in (FINE_NODES, PREDICTIONS, anchors), (NODES, SMOOTH_PREDICTIONS, directions):
         points = IMPORTANT_SHARE * voxels / stride_of(longest, most, thickness) ** 3
         predictions += count * min(points, each)
     return predictions

@@ -79,15 +79,26 @@ class PointGrid:
             for count, size in zip(other.shape, self.shape)
         )
 
-    def averaged(self, places: np.ndarray, values: Sequence[np.ndarray], most: float) -> np.ndarray:
-        """Means (K, nx, ny, nz) at all points of values, K of (N,), at places.
+    def averaged(
+        self, places: np.ndarray, values: Sequence[np.ndarray], most: float, base: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Means (K, nx, ny, nz) at all points of values, K of (N,), at places, or their ratios to those of base (N,).
 
-        Neighbourhoods are doubled until they hold values; those with few are blended with wider ones, which count as
-        much as so many samples.
+        Neighbourhoods of 2^3 points are doubled until they hold values; those with few are blended with wider ones,
+        which count as much as so many samples.
         """
-        size = int(np.prod(self.shape))
-        sums = [np.bincount(places, one, size) for one in (*values, np.ones(len(places)))]
-        return _blended(np.stack(sums).astype(np.float32).reshape(-1, *self.shape), np.float32(most))
+        halves = [-(-n // 2) for n in self.shape]
+        x, y, z = (axis // 2 for axis in np.unravel_index(places, self.shape))
+        blocks = (x * halves[1] + y) * halves[2] + z
+        size = int(np.prod(halves))
+        columns = [*values, *([] if base is None else [base]), np.ones(len(places))]
+        sums = np.stack([np.bincount(blocks, one, size) for one in columns]).astype(np.float32)
+        means = _blended(sums.reshape(-1, *halves), np.float32(most))
+        if base is not None:
+            means = means[:-1] / np.maximum(means[-1:], np.float32(1e-30))
+        for axis, size in enumerate(self.shape, 1):
+            means = _doubled(means, axis, size) if size > 1 else means
+        return means
 
     def spread(self, places: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Values (N, K) of points int (N, 3) on the whole grid, (nx, ny, nz, K): others take means of those near by."""
@@ -108,9 +119,8 @@ def _blended(sums: np.ndarray, most: np.float32) -> np.ndarray:
             even, odd = (coarse[(slice(None),) * axis + (slice(start, None, 2),)] for start in (0, 1))
             coarse = even + odd
     wide = _blended(coarse, most)
-    for axis in (1, 2, 3):
-        if shape[axis - 1] > 1:
-            wide = _doubled(wide, axis, shape[axis - 1])
+    for axis, size in enumerate(shape, 1):
+        wide = _doubled(wide, axis, size) if size > 1 else wide
     wide *= most
     wide += sums[:-1]
     wide /= sums[-1:] + most
@@ -250,8 +260,7 @@ class LightAtPoints:
         colours = (
             [] if np.array_equal(light[:, 0], light[:, 1]) and np.array_equal(grey, light[:, 2]) else list(light.T)
         )
-        mean, *averages, base = self.grid.averaged(places, [grey, *colours, told.reshape(-1)[places]], SPARSE)
-        told /= np.maximum(base, np.float32(1e-30))
+        mean, *averages = self.grid.averaged(places, [grey, *colours], SPARSE, told.reshape(-1)[places])
         found = np.stack([(one * told).reshape(-1)[self._places] for one in averages or [mean] * 3], axis=1)
         mean *= told
         # What is predicted is known.

@@ -23,6 +23,17 @@ THIN = 10.0
 LEAST, MOST = np.float32(0.3), np.float32(2.0)
 
 
+# Share of the voxels of the finest lattice that is predicted besides those of coarser ones, about.
+FINEST_SHARE = 0.14
+
+
+def expected_predictions(voxels: float, strides: Sequence[int]) -> float:
+    """How many of so many wanted voxels `radiance_in_voxels` predicts, about."""
+    if voxels <= FEW or len(strides) == 1:
+        return voxels
+    return voxels * (FINEST_SHARE + sum(stride**-3 for stride in strides if stride > 1))
+
+
 def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
     """How much voxels count in the picture, 0 to 1, float32 (nx, ny, nz).
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How far eyes see a point apart, which tells over how many pixels a picture is blurred."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from ..scene.camera import Camera
@@ -21,10 +23,17 @@ class Spreads:
     Where a point is seen is linear in the reciprocal of its distance, for orthographic cameras in its distance. Two
     distances therefore tell the spread at all of them.
 
-    ends: nearest and farthest distance that matter.
+    ends: nearest and farthest distance that matter. motion: as of BoundMedium, of what moves in front of the camera.
     """
 
-    def __init__(self, eyes: Eyes, camera: Camera, window: tuple[int, int, int, int], ends: tuple[float, float]):
+    def __init__(
+        self,
+        eyes: Eyes,
+        camera: Camera,
+        window: tuple[int, int, int, int],
+        ends: tuple[float, float],
+        motion: np.ndarray | None = None,
+    ):
         (x0, y0, x1, y1), (near, far) = window, ends
         self._window, self._linear = window, camera.projection == "orthographic"
         near = max(near, 1e-12)
@@ -33,7 +42,10 @@ class Spreads:
         x, y = (values.ravel() for values in np.meshgrid(x0 + part * (x1 - x0), y0 + part * (y1 - y0)))
         origins, directions, _ = image_rays(camera, x, y)
         points = np.stack([origins + distance * directions for distance in (near, far)])
-        seen = np.stack([seen_at(eye, points) for eye in eyes.cameras])
+        moving: Iterable[np.ndarray] = [points] * len(eyes.cameras)
+        if motion is not None:
+            moving = ((points - back[:, 3]) @ np.linalg.inv(back[:, :3]).T for back in motion)
+        seen = np.stack([seen_at(eye, places) for eye, places in zip(eyes.cameras, moving)])
         first, last = self._places(np.array([near, far]))
         # (2, E, 2, knots): where at place 0, and the slope.
         slope = (seen[:, :, 1] - seen[:, :, 0]) / (last - first)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..scene.camera import Camera, Shutter
+from ..scene.description import Motion
 
 
 def shutter_times(shutter: Shutter, u: np.ndarray) -> np.ndarray:
@@ -31,6 +32,14 @@ def camera_at(camera: Camera, time: float) -> Camera:
     edges = np.tan(0.5 * np.array(shutter.fovs or (camera.fov,)))
     edge = float(np.interp(time, np.linspace(0.0, 1.0, len(edges)), edges))
     return replace(camera, world_matrix=matrix, fov=2.0 * np.arctan(edge), shutter=None)
+
+
+def moved_back(motion: Motion | None, times: np.ndarray) -> np.ndarray | None:
+    """Places at the frame of places at times (E,) of the shutter, float64 (E, 3, 4); None where nothing moves."""
+    if motion is None:
+        return None
+    matrices = np.array([matrix_at(motion.world_matrices, time) for time in times])
+    return np.asarray((motion.world_matrix @ np.linalg.inv(matrices))[:, :3])
 
 
 def matrix_at(matrices: Sequence[np.ndarray] | np.ndarray, time: float) -> np.ndarray:

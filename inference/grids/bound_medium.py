@@ -16,12 +16,15 @@ class BoundMedium:
     """A volume as rays traverse it in colour channels of equal extinction.
 
     sigma_t: extinction coefficient per unit density and world unit. sun_depths: L optical depths, one per sun.
+    motion: float64 (E, 3, 4), places at the frame of places at the time at which each eye sees, in the world; None for
+    a volume that stands still.
     """
 
     grid: Grid
     medium: Medium
     sigma_t: float
     sun_depths: list[SunOpticalDepth]
+    motion: np.ndarray | None = None
 
     @property
     def linear(self) -> np.ndarray:

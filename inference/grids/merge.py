@@ -30,8 +30,8 @@ def merge(
 
     grids: Grid of each volume. Voxels are those of the finest grid, or the smallest multiple of them that leaves at
     most 256 along an edge; or their shortest edges are `edge`, in world units. The extinction is exact for grey media;
-    for others each colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and by scattering;
-    where albedos differ or vary, the volume holds its scattering. Raises Cancelled.
+    for others each colour channel is proportional to the mean. Albedo and mean cosine are weighted by extinction and
+    by scattering; where albedos differ or vary, the volume holds its scattering. Raises Cancelled.
     """
     finest = min(grids, key=lambda grid: grid.voxel)
     # Corners of all grids as indices of the finest.

@@ -139,6 +139,8 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         volumes=None if channel_pass.whole is None else channel_pass.volumes,
         groups=None if channel_pass.whole is None else channel_pass.groups,
         rays=rays.rays,
+        eyes=rays.batch.eyes,
+        motion=scene.motion,
     )
     report.count("points", len(samples.ray))
     _hold_out(tile.framebuffer, channel_pass, samples)
@@ -161,17 +163,33 @@ def add_sharpness(scene: PreparedScene, tile: Tile, samples: DepthSamples) -> No
     """Add to the tile how sharp its pixels are: at depth samples, and where surfaces end rays."""
     assert scene.eyes is not None
     (left, top, *_), window = scene.camera.window, tile.camera.window
-    pixel, distance, weight = samples.pixel[samples.ray], samples.distance, samples.weight
+    pixel, distance, still = samples.pixel[samples.ray], samples.distance, samples.weight
+    for v, motion in enumerate(scene.motion):
+        if motion is not None and samples.meets([v]):
+            share = samples.weight * samples.share([v])
+            _add_sharpness(scene, tile, (pixel, distance, share), motion)
+            still = still - share
     if scene.eye_distances is not None:
         x0, y0, x1, y1 = window
         ends = scene.eye_distances[y0 - top : y1 - top, x0 - left : x1 - left].ravel()
         hit = np.flatnonzero(np.isfinite(ends))
         pixel = np.concatenate([pixel, hit // scene.eyes.rays])
         distance = np.concatenate([distance, ends[hit]])
-        weight = np.concatenate([weight, np.full(len(hit), 1.0 / scene.eyes.rays)])
+        still = np.concatenate([still, np.full(len(hit), 1.0 / scene.eyes.rays)])
+    _add_sharpness(scene, tile, (pixel, distance, still), None)
+
+
+def _add_sharpness(
+    scene: PreparedScene, tile: Tile, seen: tuple[np.ndarray, np.ndarray, np.ndarray], motion: np.ndarray | None
+) -> None:
+    """Add how sharp is what pixels (N,) see at distances (N,), with weights (N,), that all moves alike."""
+    some = np.flatnonzero(seen[2] > 0.0)
+    pixel, distance, weight = (values[some] for values in seen)
     if not len(pixel):
         return
-    spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()))
+    assert scene.eyes is not None
+    window = tile.camera.window
+    spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()), motion)
     found, image = spreads.sharpness(pixel, distance), tile.framebuffer.sharpness
     for number, values in enumerate((*(found * weight[:, None]).T, weight)):
         image[:, number] += np.bincount(pixel, values, len(image))
@@ -362,18 +380,19 @@ def _rays_of_eyes(
     pixel, number = np.repeat(tile.shown, eyes.rays), numbers.ravel()
     rows, columns = np.divmod(pixel, x1 - x0) + np.array([[y0], [x0]])
     origins, directions = np.empty((2, len(pixel), 3))
-    clip = np.empty((2, len(pixel)))
-    order = np.argsort(number, kind="stable")
+    interval = np.empty((2, len(pixel)))
+    order, boxes = np.argsort(number, kind="stable"), channel_pass.march.boxes
     for some in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
-        eye = eyes.cameras[number[some[0]]]
-        origins[some], directions[some], *ends = pixel_rays(eye, columns[some], rows[some])
-        clip[:, some] = ends
+        eye = number[some[0]]
+        origins[some], directions[some], *ends = pixel_rays(eyes.cameras[eye], columns[some], rows[some])
+        seen = boxes.seen_by(eye) if scene.motion else boxes
+        interval[:, some] = seen.intervals(origins[some], directions[some], ends)
     offsets = lookup_offsets(columns, rows, context.settings.seed) + number % eyes.rays * PLASTIC[0]
-    near, far = channel_pass.march.boxes.intervals(origins, directions, list(clip))
+    near, far = interval
     share, free = np.full(len(pixel), 1.0 / eyes.rays), np.ones(len(pixel))
     if scene.eye_distances is not None:
         left, top, *_ = scene.camera.window
         ends = scene.eye_distances[rows - top, columns - left, number % eyes.rays]
         far, free = np.minimum(far, ends), np.isinf(ends).astype(float)
-    batch = RayBatch(origins, directions, near, far)
+    batch = RayBatch(origins, directions, near, far, eyes=number if scene.motion else None)
     return TileRays(batch, pixel, offsets - np.floor(offsets), share, free, eyes.rays)

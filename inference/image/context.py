@@ -63,7 +63,7 @@ class PreparedScene:
     middle of the volumes; empty where they hide nothing.
     environments: the plan's, and what surfaces emit and throw back. thrown_back: the one of them that is the latter, or
     None. eyes: that sample the camera's lens, None without one. eye_distances: as of the function of that
-    name, of surfaces that cover volumes, or None.
+    name, of surfaces that cover volumes, or None. motion: as of BoundMedium, of each volume; empty where none moves.
     """
 
     plan: Plan
@@ -83,11 +83,12 @@ class PreparedScene:
     thrown_back: Environment | None = None
     eyes: Eyes | None = None
     eye_distances: np.ndarray | None = None
+    motion: Sequence[np.ndarray | None] = ()
 
     @property
     def sharp(self) -> "PreparedScene":
         """As the middle of the lens sees it."""
-        return self if self.eyes is None else replace(self, eyes=None, eye_distances=None)
+        return self if self.eyes is None else replace(self, eyes=None, eye_distances=None, motion=())
 
     def opened(self, group: int) -> ScatteringGroup | None:
         """A group without what surfaces hide from the middle of the volumes."""
@@ -113,7 +114,7 @@ class PreparedScene:
 
     @functools.cached_property
     def _shown(self) -> tuple[np.ndarray, np.ndarray]:
-        return shown_pixels(self.camera, self.grids, self.eyes)
+        return shown_pixels(self.camera, self.grids, self.eyes, self.motion)
 
     @functools.cached_property
     def _seen(self) -> SeenVolumes:
@@ -174,9 +175,13 @@ class PreparedScene:
     def media(self, channels: Channels, lit: bool = True) -> list[BoundMedium]:
         """The volumes bound to their grids, their extinction in some colour channels and, where lit, the suns."""
         return [
-            BoundMedium(grid, medium, float(sigma_t), depths if lit else [])
-            for grid, (_, medium), sigma_t, depths in zip(
-                self.grids, self.plan.volumes, channels.sigma_t, self.sun_depths
+            BoundMedium(grid, medium, float(sigma_t), depths if lit else [], motion)
+            for grid, (_, medium), sigma_t, depths, motion in zip(
+                self.grids,
+                self.plan.volumes,
+                channels.sigma_t,
+                self.sun_depths,
+                self.motion or [None] * len(self.grids),
             )
         ]
 

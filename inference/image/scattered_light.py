@@ -134,9 +134,9 @@ class TileEstimate:
 
     def _asked(self, points: np.ndarray | slice, turn: np.ndarray | None) -> LitPoints:
         """Some samples, as an estimator is asked at them."""
-        samples = self.samples
-        directions = samples.directions[samples.ray[points]]
-        positions, place, numbers = samples.positions(points), samples.place_of_group(self.source.groups[0]), points
+        samples, place, numbers = self.samples, self.samples.place_of_group(self.source.groups[0]), points
+        member = self.source.members[0] if turn is None else self._members[np.maximum(turn[points], 0)]
+        positions, directions = samples.seen(points, member)
         if turn is not None:
             assert self.source.frames is not None
             numbers = np.arange(len(turn))[points]

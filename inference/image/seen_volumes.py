@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which volumes a part of the image shows, and which others shadow these."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,15 +22,18 @@ MOST_VOLUMES, MOST_PAIRED = 16, 64
 SQUARE = 8
 
 
-def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None) -> tuple[np.ndarray, np.ndarray]:
+def shown_pixels(
+    camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None, motion: Sequence[np.ndarray | None] = ()
+) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of the camera's window that may show a volume, bool (rows, columns), and the windows of each, int (V, 4).
 
     Windows (x0, y0, x1, y1) are of the image; those of volumes that are not seen are empty. eyes: of the camera.
+    motion: as of BoundMedium, of each volume; empty where none moves.
     """
     x0, y0, x1, y1 = camera.window
     shown = np.zeros((y1 - y0, x1 - x0), bool)
     boxes = np.array([grid.corners() for grid in grids]).reshape(-1, 8, 3)
-    windows = windows_around(camera, boxes) if eyes is None else _windows_around(eyes, boxes)
+    windows = windows_around(camera, boxes) if eyes is None else _windows_around(eyes, boxes, motion)
     # The more volumes there are, the smaller each is in the picture.
     detail = max(len(grids), 1) ** (-1.0 / 3.0) * (1.0 if eyes is None else 0.5)
     sizes = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
@@ -40,7 +43,11 @@ def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None
             shown[top:bottom, left:right] = True
             continue
         cells, corners = grids[n].support(detail)
-        around = pixels_around(camera, cells, corners) if eyes is None else _around(camera, eyes, cells, corners)
+        around = (
+            pixels_around(camera, cells, corners)
+            if eyes is None
+            else _around(camera, eyes, cells, _moving(corners, eyes, motion[n] if motion else None))
+        )
         rows, columns = np.flatnonzero(around.any(axis=1)), np.flatnonzero(around.any(axis=0))
         windows[n] = 0
         if len(rows):
@@ -49,24 +56,35 @@ def shown_pixels(camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None
     return shown, windows
 
 
-def _windows_around(eyes: Eyes, corners: np.ndarray) -> np.ndarray:
+def _moving(corners: np.ndarray, eyes: Eyes, motion: np.ndarray | None) -> Iterator[np.ndarray]:
+    """Places (..., 3) at the frame, where each eye sees them."""
+    for number in range(len(eyes.cameras)):
+        if motion is None:
+            yield corners
+        else:
+            yield (corners - motion[number, :, 3]) @ np.linalg.inv(motion[number, :, :3]).T
+
+
+def _windows_around(eyes: Eyes, corners: np.ndarray, motion: Sequence[np.ndarray | None]) -> np.ndarray:
     """As `windows_around`, of all eyes together."""
-    windows = np.stack([windows_around(eye, corners) for eye in eyes.cameras])
+    moving = [list(_moving(box, eyes, own)) for box, own in zip(corners, motion or [None] * len(corners))]
+    boxes = np.array(moving).reshape(len(corners), len(eyes.cameras), 8, 3).swapaxes(0, 1)
+    windows = np.stack([windows_around(eye, seen) for eye, seen in zip(eyes.cameras, boxes)])
     seen = (windows[..., 2:] > windows[..., :2]).all(axis=2, keepdims=True)
     low = np.where(seen, windows[..., :2], np.iinfo(windows.dtype).max).min(axis=0)
     high = np.where(seen, windows[..., 2:], 0).max(axis=0)
     return np.concatenate([np.minimum(low, high), high], axis=1)
 
 
-def _around(camera: Camera, eyes: Eyes, cells: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """As `pixels_around`, of all eyes together."""
+def _around(camera: Camera, eyes: Eyes, cells: np.ndarray, corners: Iterable[np.ndarray]) -> np.ndarray:
+    """As `pixels_around`, of all eyes together; corners: as each eye sees them."""
     (width, height), (x0, y0, x1, y1) = camera.resolution, camera.window
     across = -(-width // SQUARE)
     scale = across / width
     down = int(np.ceil(height * scale))
     found = np.zeros((down + 2, across + 2), bool)
-    for eye in eyes.cameras:
-        found[1:-1, 1:-1] |= pixels_around(replace(eye, resolution=(across, down), region=None), cells, corners)
+    for eye, seen in zip(eyes.cameras, corners):
+        found[1:-1, 1:-1] |= pixels_around(replace(eye, resolution=(across, down), region=None), cells, seen)
     # The middle of the image stays where it is, which moves rows by less than a square.
     found[:, 1:-1] |= found[:, :-2] | found[:, 2:]
     found[1:-1] |= found[:-2] | found[2:]

@@ -75,6 +75,8 @@ typedef struct {
     double emission_factor;  /* 0: the volume emits nothing */
     int64_t varies;          /* whether the albedo varies: then density times albedo, of the channels of scattering, */
     Grid scattering[MRPNN_CHANNELS];
+    const double *motion;    /* (eyes, 12), rows of (linear, offset): where the volume is at the frame, of where it is
+                                when each eye sees it, in the world; NULL: it stands still */
 } Medium;
 
 /* Optical depths of columns around a lamp, within the pyramid about one direction of an axis: LampOpticalDepth. */
@@ -199,6 +201,7 @@ typedef struct {
     const double *origins, *directions;  /* (rays, 3) */
     const double *near_distance, *far_distance;  /* (rays) */
     const int64_t *counts;               /* (rays), number of steps */
+    const int64_t *eyes;                 /* (rays), of those by which volumes move, or NULL: all stand still */
     const int64_t *detail;               /* (rays), times as many depth samples, at most `most_detail`, or NULL: once */
     int64_t max_count;                   /* no count may be larger: `scratch` is made for it */
     const volatile int32_t *stop;        /* not 0: return as soon as possible */

@@ -199,6 +199,9 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
         return;
     }
     const float *light = fluence->lights[l], scale = fluence->scales ? (float)fluence->scales[l] : 1.0f;
+    /* Light is told where the volumes are at the frame; those of a group move with the first. */
+    Ray moved;
+    ray = ray_of(scene->media + scene->group_members[scene->group_starts[g]], ray, &moved);
     Line line = line_in(fluence->linear, fluence->offset, ray);
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {

@@ -40,6 +40,8 @@ typedef struct {
     double near;
     int64_t count;  /* coarse steps, and their length */
     double dt;
+    int64_t eye;    /* or -1 */
+    double moved[6];  /* what origin and direction of a ray in a volume's own frame are kept in */
 } Ray;
 
 /* Scratch memory for one ray of up to `most_blocks` blocks; those of coarse blocks that are looked at ahead follow them. */
@@ -101,9 +103,26 @@ static inline Line line_in(const double *linear, const double *offset, const Ray
     return line;
 }
 
+/* A ray as a volume meets it that is moved back to where it is at the frame; distances along the ray stay. */
+static inline const Ray *ray_of(const Medium *medium, const Ray *ray, Ray *moved) {
+    if (!medium->motion || ray->eye < 0) return ray;
+    const double *frame = medium->motion + 12 * ray->eye;
+    *moved = *ray;
+    for (int i = 0; i < 3; i++) {
+        moved->moved[i] = frame[4 * i + 3], moved->moved[3 + i] = 0.0;
+        for (int j = 0; j < 3; j++) {
+            moved->moved[i] += frame[4 * i + j] * ray->origin[j];
+            moved->moved[3 + i] += frame[4 * i + j] * ray->direction[j];
+        }
+    }
+    moved->origin = moved->moved, moved->direction = moved->moved + 3;
+    return moved;
+}
+
 /* The line through a volume, whose cells it passes. */
 static inline Line line_through(const Medium *medium, const Ray *ray) {
-    Line line = line_in(medium->linear, medium->offset, ray);
+    Ray moved;
+    Line line = line_in(medium->linear, medium->offset, ray_of(medium, ray, &moved));
     double x = fabs(line.slope[0]), y = fabs(line.slope[1]), z = fabs(line.slope[2]);
     line.blocks_per_cell = 1.0 / ((x > y ? (x > z ? x : z) : (y > z ? y : z)) * medium->occupancy.scale * STEPS);
     return line;
@@ -183,6 +202,7 @@ static void start_ray(const Rays *rays, int64_t number, Ray *ray) {
     ray->origin = rays->origins + 3 * number;
     ray->direction = rays->directions + 3 * number;
     ray->near = rays->near_distance[number];
+    ray->eye = rays->eyes ? rays->eyes[number] : -1;
     ray->count = count < 1 ? 1 : count > rays->max_count ? rays->max_count : count;
     ray->dt = (rays->far_distance[number] - ray->near) / (double)ray->count;
 }

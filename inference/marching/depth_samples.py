@@ -69,7 +69,8 @@ class DepthSamples:
     in each volume. features: for networks that need them, or None. lamp_features: the same of lamps.
     scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. detail: int (P,), as of RayBatch, or
     None. volumes, groups: numbers, ascending, of those that rays were marched through; None for all of them. Other
-    volumes are not met. rays: through each whole pixel.
+    volumes are not met. rays: through each whole pixel. eyes: int (P,), as of RayBatch, or None. motion: as of
+    BoundMedium, of all volumes.
     """
 
     pixel: np.ndarray
@@ -87,6 +88,8 @@ class DepthSamples:
     volumes: Sequence[int] | None = None
     groups: Sequence[int] | None = None
     rays: int = 1
+    eyes: np.ndarray | None = None
+    motion: Sequence[np.ndarray | None] = ()
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -122,6 +125,8 @@ class DepthSamples:
             volumes=self.volumes,
             groups=self.groups,
             rays=self.rays,
+            eyes=self.eyes,
+            motion=self.motion,
         )
 
     def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -137,10 +142,22 @@ class DepthSamples:
             rays = np.flatnonzero((counts == count) & (details == detail))
             yield rays, starts[rays, None] + offsets, quadrature[0]
 
-    def positions(self, samples: np.ndarray | slice) -> np.ndarray:
-        """World positions (N, 3) of samples."""
+    def seen(self, samples: np.ndarray | slice, members: int | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and unit directions (N, 3) in the world of samples, moved to where they are at the frame.
+
+        members: volumes, by number, with which they move, int (N,) or the same for all.
+        """
         ray = self.ray[samples]
-        return self.origins[ray] + self.distance[samples, None] * self.directions[ray]
+        directions = self.directions[ray]
+        positions = self.origins[ray] + self.distance[samples, None] * directions
+        members = np.broadcast_to(members, len(ray))
+        for v, motion in enumerate(self.motion):
+            if motion is not None and self.eyes is not None and (some := np.flatnonzero(members == v)).size:
+                frame = motion[self.eyes[ray[some]]]
+                positions[some] = np.einsum("nij,nj->ni", frame[:, :, :3], positions[some]) + frame[:, :, 3]
+                turned = np.einsum("nij,nj->ni", frame[:, :, :3], directions[some])
+                directions[some] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        return positions, directions
 
     def share(self, members: Sequence[int]) -> np.ndarray:
         """Fraction float32 (M,) of the extinction at each sample that the member volumes have."""

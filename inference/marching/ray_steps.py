@@ -8,7 +8,7 @@ that an image does not depend on which rays are marched together.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,7 +43,8 @@ class RayBatch:
 
     origins, directions: float64 (R, 3) in the world, unit directions. near, far: float64 (R,), distances between which
     the rays are marched. detail: int (R,), times as many depth samples on each as `MarchOptions.depth_samples` says, at
-    most `MarchOptions.most_detail`; None: as many.
+    most `MarchOptions.most_detail`; None: as many. eyes: int (R,), numbers of the eyes that see along them, by which
+    volumes move; None where all volumes stand still.
     """
 
     origins: np.ndarray
@@ -51,27 +52,30 @@ class RayBatch:
     near: np.ndarray
     far: np.ndarray
     detail: np.ndarray | None = None
+    eyes: np.ndarray | None = None
 
     def take(self, rays: np.ndarray | slice) -> "RayBatch":
         """A batch of these rays, by number."""
-        detail = None if self.detail is None else self.detail[rays]
-        return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays], detail)
+        detail, eyes = (None if values is None else values[rays] for values in (self.detail, self.eyes))
+        return RayBatch(self.origins[rays], self.directions[rays], self.near[rays], self.far[rays], detail, eyes)
 
     def plain(self) -> "RayBatch":
         """The same without detail."""
-        return RayBatch(self.origins, self.directions, self.near, self.far)
+        return replace(self, detail=None)
 
 
 @dataclass(frozen=True)
 class Boxes:
     """The supports of V media that attenuate or emit, as rays meet them.
 
-    linear: (V, 3, 3) and offset: (V, 3), continuous indices from world positions. shape: (V, 3), voxels.
+    linear: (V, 3, 3) and offset: (V, 3), continuous indices from world positions. shape: (V, 3), voxels. motion: as of
+    BoundMedium, of each.
     """
 
     linear: np.ndarray
     offset: np.ndarray
     shape: np.ndarray
+    motion: Sequence[np.ndarray | None] = ()
 
     @classmethod
     def of(cls, media: Sequence[BoundMedium]) -> "Boxes":
@@ -81,7 +85,17 @@ class Boxes:
             np.array([medium.linear for medium in media]).reshape(-1, 3, 3),
             np.array([medium.offset for medium in media]).reshape(-1, 3),
             np.array([medium.grid.shape for medium in media], np.float64).reshape(-1, 3),
+            [medium.motion for medium in media],
         )
+
+    def seen_by(self, eye: int) -> "Boxes":
+        """Where they are when an eye sees them."""
+        linear, offset = self.linear.copy(), self.offset.copy()
+        for v, motion in enumerate(self.motion):
+            if motion is not None:
+                offset[v] += linear[v] @ motion[eye, :, 3]
+                linear[v] = linear[v] @ motion[eye, :, :3]
+        return Boxes(linear, offset, self.shape)
 
     def crossings(
         self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
@@ -123,6 +137,11 @@ def step_counts(boxes: Boxes, rays: RayBatch, least: int = MIN_VOXELS) -> np.nda
     least: voxels that a ray crosses.
     """
     counts = np.full(len(rays.near), least)
+    if rays.eyes is not None and any(motion is not None for motion in boxes.motion):
+        for eye in np.unique(rays.eyes):
+            some = np.flatnonzero(rays.eyes == eye)
+            counts[some] = step_counts(boxes.seen_by(eye), replace(rays.take(some), eyes=None), least)
+        return counts
     for enter, leave, scale, edges in boxes.crossings(rays.origins, rays.directions, (rays.near, rays.far)):
         crossed = np.maximum(scale * (rays.far - rays.near)[:, None], least)
         needed = np.ceil(crossed * np.maximum(STEPS_PER_EDGE / edges, 1.0)) * (enter < leave)

@@ -19,6 +19,7 @@ from ..scene.light import Families, Light
 from ..scene.mesh_light import MeshLight
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
+from .coarser import fitting_volumes
 from .joined_lamps import joined_lamps
 from .lights import (
     PredictedSun,
@@ -330,10 +331,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
 def plan_tiles(
     scene: SortedScene, lights: SceneLights, suns: Sequence[Sun], camera: Camera, settings: Settings
 ) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Tiles of the camera's window, and the bytes that a render needs, estimated; suns: that are rendered.
-
-    Raises SceneError if the memory limit is too small.
-    """
+    """Tiles of the camera's window, and the bytes that a render needs, estimated; suns: that are rendered."""
     rendered = scene.volumes
     memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns)
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
@@ -355,20 +353,23 @@ def plan_tiles(
         needed = memory + pixels * ray
         if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
             break
-    if needed > settings.memory_limit:
-        raise SceneError(
-            f"the render needs about {needed / 2**30:.1f} GiB and the limit is "
-            f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or use fewer depth samples, "
-            "a smaller image or smaller grids"
-        )
     return tiles, needed
 
 
-def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camera: Camera, settings: Settings) -> Plan:
-    """The plan of a render; lit: numbers of the suns whose light surfaces let through to the volumes.
+def fit_memory(
+    scene: SortedScene, lights: SceneLights, camera: Camera, settings: Settings, adapts: bool = True
+) -> tuple[SortedScene, list[str]]:
+    """The scene as `fitting_volumes` makes it fit into the memory limit, and its sentences. Raises as that."""
 
-    Raises SceneError if the memory limit is too small.
-    """
+    def needed(volumes: list[tuple[Volume, Medium]]) -> int:
+        return plan_tiles(replace(scene, volumes=volumes), lights, lights.suns, camera, settings)[1]
+
+    volumes, warnings = fitting_volumes(scene.volumes, needed, settings.memory_limit, adapts)
+    return replace(scene, volumes=volumes), warnings
+
+
+def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camera: Camera, settings: Settings) -> Plan:
+    """The plan of a render; lit: numbers of the suns whose light surfaces let through to the volumes."""
     planned, left_out = [*scene.planned, *lights.planned], [*scene.left_out, *lights.left_out]
     # One sun remains even if all are dark; its single scattering is 0.
     bright = [lights.suns[n] for n in lit]
@@ -414,9 +415,11 @@ def make_plan(
     surfaces: Sequence[Surface] = (),
     cancel: CancelToken = NEVER,
 ) -> Plan:
-    """The plan of a scene whose suns all shine on its volumes. Raises as `sort_scene` and `decide`, and Cancelled."""
+    """The plan of a scene whose suns all shine on its volumes. Raises as `sort_scene`, `fit_memory`, Cancelled."""
     scene = sort_scene(volumes, lights, surfaces)
     placed = sort_lights(scene, see_sky(scene, camera, cancel), settings)
+    scene, warnings = fit_memory(scene, placed, camera, settings)
+    scene.left_out.extend(warnings)
     return decide(scene=scene, lights=placed, lit=range(len(placed.suns)), camera=camera, settings=settings)
 
 

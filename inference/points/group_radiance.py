@@ -21,6 +21,9 @@ from ..network.predictor import POINTS_PER_TASK
 from ..plan.plan import Channels
 from ..transport.scattered_fluence import ScatteredFluence
 
+#: Steps of a ray from a point, about, by which the progress of marching is counted.
+STEPS_PER_POINT = 60.0
+
 
 class GroupRadiance:
     """The light that one group of volumes scatters, ready to be evaluated. Raises Cancelled.
@@ -109,6 +112,12 @@ class GroupRadiance:
         return radiance
 
     @property
+    def work(self) -> dict[str, float]:
+        """What of each stage of the progress a point takes, about."""
+        around = [source.estimator.needs_depths for source in self._all]
+        return {"march": STEPS_PER_POINT * (2 * any(around) + (not all(around))), "network": len(around)}
+
+    @property
     def parts(self) -> "tuple[GroupRadiance | None, GroupRadiance | None]":
         """Of lights, and of environments, each None where there are none of these."""
         found = []
@@ -193,7 +202,7 @@ class GroupRadiance:
             for first, segment in context.tasks.map(task, spans(len(positions))):
                 keep(first, segment)
                 context.report.count("steps evaluated", segment.steps_evaluated)
-                context.progress.advance("march", segment.steps_evaluated)
+                context.progress.advance("march", 0.0 if brief else STEPS_PER_POINT * len(segment.alpha))
 
 
 def rays_outwards(media: Sequence[BoundMedium], positions: np.ndarray, directions: np.ndarray) -> RayBatch:

@@ -61,6 +61,10 @@ class Progress:
         """Set how much of a stage there is altogether."""
         self._expected[stage] = amount
 
+    def expect_more(self, stage: str, amount: float) -> None:
+        """Change how much of a stage there is, by what turns out to be more, or less where it is negative."""
+        self._expected[stage] += amount
+
     def done(self, stage: str) -> float:
         """How much of a stage is done."""
         return self._done[stage]

@@ -3,7 +3,7 @@
 
 from ..runtime.cancellation import Cancelled
 from .camera import Camera, Lens, Shutter
-from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Sun, Surface, Volume
+from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Motion, Sun, Surface, Volume
 from .environment import Environment
 from .errors import SceneError
 from .lamps import AreaLight, PointLight, SpotLight
@@ -22,6 +22,7 @@ __all__ = [
     "Lens",
     "Light",
     "Medium",
+    "Motion",
     "PointLight",
     "SceneError",
     "Settings",

@@ -48,6 +48,27 @@ def affine_matrix(matrix: ArrayLike, name: str) -> np.ndarray:
     return matrix
 
 
+@dataclass(frozen=True)
+class Motion:
+    """How an object moves while the camera's shutter is open.
+
+    world_matrices: float64 (S, 4, 4) object to world, at S > 1 evenly spaced times from opening to closing.
+    world_matrix: (4, 4), the same where the object is described.
+
+    Raises SceneError for singular transforms, and for a single one.
+    """
+
+    world_matrices: np.ndarray
+    world_matrix: np.ndarray
+
+    def __post_init__(self) -> None:
+        if len(self.world_matrices) < 2:
+            raise SceneError("motion needs transforms at two times or more")
+        matrices = [affine_matrix(matrix, "motion: transform") for matrix in self.world_matrices]
+        object.__setattr__(self, "world_matrices", np.array(matrices))
+        object.__setattr__(self, "world_matrix", affine_matrix(self.world_matrix, "motion: transform"))
+
+
 @dataclass
 class Volume:
     """A density grid placed in the world.
@@ -61,6 +82,7 @@ class Volume:
         interpolated store the fourth root of their emission.
     scattering: density times albedo of a medium whose albedo varies, interpolated like the density: one grid for all
         colour channels or three, of the density's kind; None for a uniform albedo. Set by `plan.plan.in_range`.
+    motion: in the camera's shutter; None for a volume that stands still.
 
     peak: largest density.
 
@@ -75,6 +97,7 @@ class Volume:
     emission: None | np.ndarray | tuple[SparseGrid, ...] = None
     emission_power: int = 1
     scattering: None | tuple[Voxels, ...] = None
+    motion: Motion | None = None
     peak: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:

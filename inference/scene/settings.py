@@ -24,7 +24,8 @@ class Settings:
     model: name of the network, a file in inference/weights or a registered system.
     seed: of the jitter of lookups; equal seeds give equal images.
     threads: worker threads, 0 for one per core; the image does not depend on it.
-    memory_limit: bytes that the render may use on top of its input; a render estimated to need more is refused.
+    memory_limit: bytes that the render may use on top of its input; a render estimated to need more shows its
+        largest volumes at lower resolution, or is refused.
     multiple: whether multiple scattering is predicted; without it the volumes are too dark.
     provider: onnxruntime execution provider that runs the network, a key of `provider.PROVIDERS`.
     light_paths: whether the light of environments is corrected by some ten thousand light paths, where these can be

@@ -65,6 +65,8 @@ def scene_key(description: SceneDescription, bounces: int, version: str) -> str:
                 digest.update(np.ascontiguousarray(array).data)
         for array in (volume.world_from_index, medium.sigma_t, *(() if medium.varies else (medium.albedo,))):
             digest.update(np.ascontiguousarray(array).data)
+        if volume.motion is not None:
+            digest.update(volume.motion.world_matrices.tobytes())
         if volume.emission is not None:
             digest.update(repr(volume.emission_power).encode())
             digest.update(repr(medium.emission).encode())

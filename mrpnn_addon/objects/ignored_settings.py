@@ -63,9 +63,8 @@ WORLD = (
 )
 SCENE = (
     IgnoredSetting(
-        "render.use_motion_blur", "motion blur shows how the camera moves, and volumes as if they stood still"
+        "cycles.rolling_shutter_type", "Motion Blur > Rolling Shutter has no effect", (), "render.use_motion_blur"
     ),
-    IgnoredSetting("cycles.rolling_shutter_type", "Motion Blur > Rolling Shutter has no effect"),
     IgnoredSetting("cycles.use_fast_gi", "Light Paths > Fast GI Approximation has no effect on the layer"),
     IgnoredSetting("cycles.sample_clamp_direct", "Light Paths > Clamping > Direct Light has no effect on the layer"),
     IgnoredSetting(

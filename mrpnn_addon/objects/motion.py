@@ -1,19 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""*Motion Blur*: when the shutter is open, and where cameras are then."""
+"""*Motion Blur*: when the shutter is open, and where cameras and volumes are then."""
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ...inference.scene import Camera, SceneError, Shutter
+from ..nodes.material import SURFACES, shows_volume
 from .camera import read_camera
 from .views import view_camera
+from .visibility import VisibleObject, visible_objects
 
 #: Goes to a frame and a subframe from 0 to 1, and evaluates the scene there.
 GoTo = Callable[[int, float], None]
+# What motion blur leaves as it is, after the object's name.
+VELOCITY = "motion blur shows how it moves as a whole, and not its velocities"
+MOVES = "moves; it hides and shades volumes where it is in the frame, without motion blur"
 # Values of a shutter curve: as many as Cycles reads.
 CURVE = 256
 # Changes of transforms below this fraction of their size are rounding.
@@ -27,45 +33,92 @@ def uses_motion_blur(depsgraph: "bpy.types.Depsgraph") -> bool:
     return render.use_motion_blur and getattr(layer, "use_motion_blur", True) and render.motion_blur_shutter > 0.0
 
 
-def read_shutters(
+@dataclass(frozen=True)
+class FrameMotion:
+    """What moves while the shutter is open.
+
+    shutters: of the cameras of views; None where neither they nor volumes move. volumes: matrices (S, 4, 4) of those
+    that move, by the keys of `VisibleObject`. warnings: what moves and is rendered as if it stood still.
+    """
+
+    shutters: list[Shutter | None]
+    volumes: dict[tuple, np.ndarray]
+    warnings: list[str]
+
+
+def read_motion(
     depsgraph: "bpy.types.Depsgraph",
     views: "Sequence[bpy.types.SceneRenderView | None]",
     go_to: GoTo,
     check: Callable[[], None],
-) -> list[Shutter | None]:
-    """The shutters in which the cameras of views move; None for those that stand still. views: as for `read_camera`.
+) -> FrameMotion:
+    """What moves in a frame. views: as for `read_camera`.
 
     The scene is back in its frame at the end, also after errors. check: called at each time; what it raises ends the
     reading. Raises as `read_camera`.
     """
     scene = depsgraph.scene
+    if not uses_motion_blur(depsgraph):
+        return FrameMotion([None] * len(views), {}, [])
     # At another time, a marker may bind another one.
     cameras = [view_camera(scene, view).original for view in views]
-    steps = [motion_steps(camera) for camera in cameras] if uses_motion_blur(depsgraph) else []
-    if not any(steps):
-        return [None] * len(views)
-    times, kept = np.linspace(*shutter_interval(scene), max(steps)), (scene.frame_current, scene.frame_subframe)
+    steps, counts = [motion_steps(camera) for camera in cameras], {}
+    surfaces, warnings = {}, []
+    for shown in visible_objects(depsgraph):
+        count = motion_steps(shown.object) if motion_steps(shown.host) else 0
+        if count and shows_volume(shown.object):
+            counts[shown.key] = count
+            warnings += [f'volume "{shown.name}": {VELOCITY}'] if _has_velocity(shown) else []
+        elif count and shown.object.type in SURFACES:
+            counts[shown.key], surfaces[shown.key] = count, f'{shown.object.type.lower()} object "{shown.name}"'
+    most, kept = max([*steps, *counts.values()], default=0), (scene.frame_current, scene.frame_subframe)
+    times = np.linspace(*shutter_interval(scene), most) if most else ()
     seen: list[list[Camera]] = []
+    places: dict[tuple, list[np.ndarray]] = {key: [] for key, count in counts.items() if count}
     try:
         for time in times:
             check()
             go_to(math.floor(time), time - math.floor(time))
             seen.append([read_camera(depsgraph, view, camera)[0] for view, camera in zip(views, cameras)])
+            for shown in visible_objects(depsgraph):
+                if shown.key in places:
+                    places[shown.key].append(shown.matrix)
     finally:
-        go_to(*kept)
-    curve = shutter_curve(scene.render)
+        if most:
+            go_to(*kept)
     # Those that have fewer steps are seen at every other time, every fourth, or fewer.
-    return [
-        _shutter([then[n] for then in seen[:: (len(times) - 1) // (count - 1)]], curve) if count else None
-        for n, count in enumerate(steps)
+    every = {count: (most - 1) // (count - 1) for count in (*steps, *counts.values()) if count}
+    moving = {}
+    for key, matrices in places.items():
+        some = matrices[:: every[counts[key]]]
+        # What is not there all the time stands still, as in Cycles.
+        if len(matrices) == most and not all(np.allclose(matrix, some[0], STILL, STILL) for matrix in some):
+            moving[key] = np.array(some)
+    curve = shutter_curve(scene.render)
+    shutters = [
+        _shutter([then[n] for then in seen[:: every[count]]] if count else [], curve) for n, count in enumerate(steps)
     ]
+    warnings += [f"{surfaces[key]} {MOVES}" for key in moving if key in surfaces]
+    volumes = {key: matrices for key, matrices in moving.items() if key not in surfaces}
+    blurred = [shutter or (Shutter(curve=curve) if volumes else None) for shutter in shutters]
+    return FrameMotion(blurred, volumes, list(dict.fromkeys(warnings)))
+
+
+def _has_velocity(shown: VisibleObject) -> bool:
+    """Whether Cycles blurs a volume by its grids of velocities."""
+    data = shown.data
+    if shown.object.type != "VOLUME":
+        domains = [getattr(modifier, "domain_settings", None) for modifier in shown.object.modifiers]
+        return any(domain is not None and domain.domain_type == "GAS" for domain in domains)
+    names = {data.velocity_grid, data.velocity_x_grid} if data.velocity_scale and data.grids.load() else set()
+    return any(grid.name in names for grid in data.grids)
 
 
 def _shutter(cameras: Sequence[Camera], curve: tuple[float, ...]) -> Shutter | None:
-    """The shutter of a camera at evenly spaced times."""
+    """The shutter of a camera at evenly spaced times; None where it stands still."""
     matrices, fovs = [camera.world_matrix for camera in cameras], tuple(camera.fov for camera in cameras)
     moves = not all(np.allclose(matrix, matrices[0], STILL, STILL) for matrix in matrices)
-    zooms = cameras[0].projection == "perspective" and np.ptp(fovs) > STILL
+    zooms = bool(fovs) and cameras[0].projection == "perspective" and np.ptp(fovs) > STILL
     return Shutter(np.array(matrices) if moves else (), fovs if zooms else (), curve) if moves or zooms else None
 
 

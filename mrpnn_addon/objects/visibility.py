@@ -25,6 +25,7 @@ class VisibleObject:
     name: for messages.
     source: the original object, or the one that instances it.
     host: evaluated, what instances it, such as an Empty, or the object itself; valid as long as `object`.
+    key: equal for the same object or instance at other times.
     """
 
     # Quoted: references to Blender's types that `typing` or a dataclass holds outlive Blender, and the bpy module then
@@ -34,6 +35,7 @@ class VisibleObject:
     name: str
     source: "bpy.types.Object"
     host: "bpy.types.Object"
+    key: tuple = ()
 
     def visible_to(self, rays: str) -> bool:
         """Whether rays of a kind meet it, such as "camera", "shadow", "diffuse" or "volume_scatter".
@@ -81,7 +83,8 @@ def visible_objects(
                 continue
         if instance.show_self and not _is_filtered_out(instanced, depsgraph.view_layer) and not _is_replaced(instanced):
             matrix = np.array(instance.matrix_world, dtype=np.float64)
-            yield VisibleObject(instanced, matrix, name, source.original, source)
+            key = instanced.name_full, source.name_full, tuple(instance.persistent_id) if instance.is_instance else ()
+            yield VisibleObject(instanced, matrix, name, source.original, source, key)
 
 
 def _is_filtered_out(shown_object: "bpy.types.Object", view_layer: "bpy.types.ViewLayer") -> bool:

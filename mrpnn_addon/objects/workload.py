@@ -44,10 +44,10 @@ class Workload:
 
     names: of the volumes. window: pixels around their boxes. pixels: those in the boxes. steps: coarse ray march steps.
     fine: those that cutting adds. opacity: mean square root of the pixels' opacity, estimated. thickness: optical
-    thickness of a voxel. volumes, lights, samples: their numbers. channels: colour channels marched separately. filled:
-    share of voxels that are not 0; None where some volume has not been read. lamps, worlds: how many of the lights are
-    lamps, and the World. surfaces: whether there are any. cells: voxels along the longest edge of each box. sky:
-    seconds in which Cycles renders the World.
+    thickness of a voxel. volumes, lights, samples: their numbers. groups: of volumes that overlap. channels: colour
+    channels marched separately. filled: share of voxels that are not 0; None where some volume has not been read.
+    lamps, worlds: how many of the lights are lamps, and the World. surfaces: whether there are any. cells: voxels along
+    the longest edge of each box. sky: seconds in which Cycles renders the World.
     """
 
     names: frozenset[str] = frozenset()
@@ -58,6 +58,7 @@ class Workload:
     opacity: float = 1.0
     thickness: float = 0.0
     volumes: int = 0
+    groups: int = 0
     lights: int = 0
     samples: int = 1
     channels: int = 1
@@ -83,6 +84,7 @@ def estimate_workload(
         frozenset(box.name for box in boxes),
         int(covered.sum()),
         volumes=len(boxes),
+        groups=_count_groups(boxes),
         lights=lights,
         samples=samples,
         channels=channels,
@@ -127,6 +129,17 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
         left, top, right, bottom = window_around(camera, _corners(box))
         covered[top - y0 : bottom - y0, left - x0 : right - x0] = True
     return covered
+
+
+def _count_groups(boxes: list[Box]) -> int:
+    """How many groups of boxes there are that overlap, in the world's axes."""
+    corners = np.stack([_corners(box) for box in boxes]) if boxes else np.empty((0, 8, 3))
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    joined = np.all((low[:, None] < high) & (low < high[:, None]), axis=2)
+    # Each product doubles the number of boxes that a chain may have.
+    for _ in range(len(boxes).bit_length()):
+        joined = joined.astype(np.float32) @ joined > 0.0
+    return len(np.unique(joined, axis=0))
 
 
 def _corners(box: Box) -> np.ndarray:

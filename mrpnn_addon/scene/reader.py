@@ -15,6 +15,7 @@ from ...inference.scene import (
     Camera,
     Environment,
     Medium,
+    Motion,
     SceneError,
     Settings,
     Sun,
@@ -27,7 +28,7 @@ from ..objects.camera import read_camera, read_views
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIAL, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
-from ..objects.motion import GoTo, read_shutters
+from ..objects.motion import GoTo, read_motion
 from ..objects.surfaces import VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
 from ..objects.views import View, in_one_file, wanted_views
 from ..objects.visibility import (
@@ -74,6 +75,7 @@ class SceneDescription:
     groups: which light group lights, volumes and meshes are in.
     views: what a picture shows; several where the scene is stereoscopic. `camera` is the active one. in_one_file:
         whether an OpenEXR file holds all of them.
+    placed: key and matrix of the object of each volume.
     wanted: what the view layer and the scene ask for besides colours.
     """
 
@@ -96,6 +98,7 @@ class SceneDescription:
     groups: LightGroups = field(default_factory=LightGroups)
     views: list[View] = field(default_factory=list)
     in_one_file: bool = False
+    placed: list[tuple[tuple, np.ndarray]] = field(default_factory=list)
     wanted: Wanted = field(default_factory=Wanted)
 
     def seen_by(self, view: View) -> "SceneDescription":
@@ -183,9 +186,13 @@ def read_frame(
 def _add_motion(
     description: SceneDescription, depsgraph: "bpy.types.Depsgraph", go_to: GoTo, check: Callable[[], None]
 ) -> None:
-    """Add what moves while the shutter is open. Raises as `read_shutters`."""
-    several = wanted_views(depsgraph.scene.render)
-    shutter, *shutters = read_shutters(depsgraph, [None, *several], go_to, check)
+    """Add what moves while the shutter is open. Raises as `read_motion`."""
+    found = read_motion(depsgraph, [None, *wanted_views(depsgraph.scene.render)], go_to, check)
+    shutter, *shutters = found.shutters
+    description.warnings += found.warnings
+    for (volume, _), (key, matrix) in zip(description.volumes, description.placed):
+        if key in found.volumes:
+            volume.motion = Motion(found.volumes[key], matrix)
     description.camera = replace(description.camera, shutter=shutter)
     description.views = [
         replace(view, camera=replace(view.camera, shutter=own))
@@ -419,6 +426,7 @@ def _add_volume(
                     (volume, replace(medium, albedo=black, emission=0.0, holdout=True)) for volume, medium in pairs
                 ]
             description.volumes += pairs
+            description.placed += [(shown.key, shown.matrix)] * len(pairs)
             description.groups.add([volume for volume, _ in pairs], *_light_groups(shown))
             material = first_material(shown.object)
             for volume, _ in pairs:

@@ -20,8 +20,8 @@ from ..objects.workload import Workload
 STEP, STEP_SUN, STEP_LAMP = 6.0e-8, 6.0e-8, 2.0e-7
 # Of each pixel and light, and of each point at which the network is evaluated for a sun, a lamp and the World.
 PIXEL, POINT_SUN, POINT_LAMP, POINT_WORLD = 1.0e-6, 1.5e-5, 2.0e-5, 3.0e-5
-# Of each volume, and of the coarse transport and lattices in it of a sun, a lamp and the World; of surfaces, which
-# shadow the volumes and throw light into them.
+# Of each volume, and of the coarse transport and lattices of a sun, a lamp and the World, in each volume or in all that
+# overlap; of surfaces, which shadow the volumes and throw light into them.
 VOLUME, FIELD_SUN, FIELD_LAMP, FIELD_WORLD, SURFACES = 0.25, 0.6, 1.4, 0.5, 1.7
 # Of reading a volume, and of each voxel in it, of so many cells of its box at most.
 READ, VOXEL, MOST_CELLS = 0.4, 3.0e-8, 512.0
@@ -123,7 +123,7 @@ def _points(workload: Workload, shares: Shares) -> tuple[float, float]:
 
 def _seconds(workload: Workload, evaluated: float, pixels: float, points: float, threads: int) -> dict[str, float]:
     """Modelled wall-clock seconds by stage."""
-    volumes, lamps, worlds = max(workload.volumes, 1), workload.lamps, workload.worlds
+    volumes, groups, lamps, worlds = max(workload.volumes, 1), workload.groups, workload.lamps, workload.worlds
     suns = workload.lights - lamps - worlds
     parallel, fields = max(threads, 1) ** SCALING, max(threads, 1) ** FIELD_SCALING
     step = STEP * math.sqrt(volumes) + volumes * (STEP_SUN * suns + STEP_LAMP * lamps)
@@ -132,7 +132,7 @@ def _seconds(workload: Workload, evaluated: float, pixels: float, points: float,
     return {
         "march": evaluated * step / parallel,
         "network": (PIXEL * workload.lights * pixels + point * points) / parallel,
-        "fields": (volumes * (VOLUME + field) + SURFACES * workload.surfaces) / fields,
+        "fields": (volumes * VOLUME + max(groups, 1) * field + SURFACES * workload.surfaces) / fields,
     }
 
 

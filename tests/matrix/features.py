@@ -296,7 +296,7 @@ def lens(stage: Stage) -> None:
 
 
 def moving(stage: Stage) -> None:
-    """Motion blur of a camera that passes by while it turns."""
+    """Motion blur of a camera that passes by while it turns, and of a volume that rises."""
     render, passing = stage.scene.render, camera(stage)
     render.use_motion_blur, render.motion_blur_shutter = True, 1.0
     (x, *_), (*_, turn) = passing.location, passing.rotation_euler
@@ -304,6 +304,13 @@ def moving(stage: Stage) -> None:
         passing.location.x, passing.rotation_euler.z = x + 0.5 * step, turn + 0.1 * step
         for path in ("location", "rotation_euler"):
             passing.keyframe_insert(path, frame=stage.frame + step)
+    rising = stage.volumes[0]
+    # A domain that moves simulates anew.
+    if all(modifier.type != "FLUID" for modifier in rising.modifiers):
+        z = rising.location.z
+        for step in (-1, 1):
+            rising.location.z = z + 0.2 * step
+            rising.keyframe_insert("location", frame=stage.frame + step)
 
 
 def panorama(stage: Stage) -> None:

@@ -116,6 +116,83 @@ def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
     )
 
 
+def add_mesh(scene, corners, faces, location=(0.0, 0.0, 0.0), copies=1):
+    shape = bpy.data.meshes.new("Shape")
+    shape.from_pydata(
+        list(corners) * copies, [], [[i + n * len(corners) for i in f] for n in range(copies) for f in faces]
+    )
+    shown = blender_scenes.add_object(scene, "Shape", shape)
+    shown.location = location
+    return shown
+
+
+SQUARE = [(-3.0, -3.0, 0.0), (3.0, -3.0, 0.0), (3.0, 3.0, 0.0), (-3.0, 3.0, 0.0)], [(0, 1, 2, 3)]
+
+
+def cube(scene, location):
+    corners = [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (-0.3, 0.3)]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return add_mesh(scene, corners, faces, location)
+
+
+def glass_inside(scene):
+    material = bpy.data.materials.new("Glass")
+    material.use_nodes = True
+    shader = material.node_tree.nodes.new("ShaderNodeBsdfGlass")
+    material.node_tree.links.new(shader.outputs[0], material.node_tree.nodes["Material Output"].inputs["Surface"])
+    cube(scene, (0.0, 0.0, 0.0)).data.materials.append(material)
+
+
+def soft_sun_and_floor(scene):
+    scene.objects["Sun"].data.angle = 1.0
+    add_mesh(scene, *SQUARE, (0.0, 0.0, -4.0))
+
+
+SURROUNDINGS = {
+    "nothing": lambda scene: None,
+    "a floor below": lambda scene: add_mesh(scene, *SQUARE, (0.0, 0.0, -1.2)),
+    "a floor that cuts off the lowest smoke": lambda scene: add_mesh(scene, *SQUARE, (0.0, 0.0, -0.95)),
+    "a floor that cuts through the smoke": lambda scene: add_mesh(scene, *SQUARE, (0.0, 0.0, -0.2)),
+    "a cube inside": lambda scene: cube(scene, (0.0, 0.0, 0.0)),
+    "a cube beside": lambda scene: cube(scene, (2.5, 0.0, 0.0)),
+    "glass inside": glass_inside,
+    "a mesh of many faces": lambda scene: add_mesh(scene, *SQUARE, (0.0, 0.0, -1.2), 6000),
+    "a lamp and a floor": lambda scene: [
+        blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT")),
+        add_mesh(scene, *SQUARE, (0.0, 0.0, -0.95)),
+    ],
+    "a soft sun above a floor": soft_sun_and_floor,
+}
+
+
+@pytest.mark.parametrize("surroundings", SURROUNDINGS)
+def test_as_many_lights_are_expected_as_the_renderer_computes(addon, scene, cloud, said, surroundings):
+    """Each of them takes about as long, and surfaces must not be told to multiply them."""
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    SURROUNDINGS[surroundings](scene)
+    expected = said()
+    plan = described(addon).plan(scene.mrpnn.settings())
+    computed = len(plan.suns) + len(plan.lamps) + bool(plan.environments)
+    assert 0.5 <= expected.points / expected.pixels / computed <= 2.0, plan.planned
+
+
+def test_volumes_that_overlap_share_their_fields(addon, scene, cloud, said):
+    second = cloud.copy()
+    scene.collection.objects.link(second)
+    # No pixel shows them.
+    scene.camera.location.x = 30.0
+    together = said().seconds
+    second.location.x = 2.5
+    assert said().seconds > together
+    # A third one between them joins both.
+    third = cloud.copy()
+    scene.collection.objects.link(third)
+    third.location.x = 5.0
+    apart = said().seconds
+    third.location.x = 1.25
+    assert said().seconds < apart
+
+
 def shown_volumes(addon):
     visibility = addon.mrpnn_addon.objects.visibility
     return (shown for shown in visibility.visible_objects(blender_scenes.depsgraph()) if shown.object.type == "VOLUME")

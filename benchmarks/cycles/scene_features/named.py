@@ -28,10 +28,6 @@ def glass(stage):
     add_shader(shown.data, "Glass", "BsdfGlass", "Surface")
 
 
-def blur(stage):
-    stage.scene.render.use_motion_blur = True
-
-
 def panorama(stage):
     stage.camera.data.type = "PANO"
 
@@ -54,7 +50,6 @@ NAMED = {
     "Shadow linking": linked_sun,
     "Opaque mesh": surface,
     "Glass": glass,
-    "Motion blur": blur,
     "Panoramic camera": panorama,
     "Anisotropy that varies with the density": varying_phase,
     "Layer Weight in the density": layer_weight,

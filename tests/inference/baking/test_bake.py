@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked light against predictions at points, layers, closed forms and symmetries."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -317,6 +318,40 @@ def test_other_directions_are_nearer_the_truth_than_the_baked_one(anisotropy, er
     truth = truth.emission.reshape(-1, 3)
     assert relative(found, truth) < error
     assert relative(found, truth) < relative(lit.emission.reshape(-1, 3), truth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("anisotropy", [0.6, 0.85])
+def test_a_film_around_baked_light_has_no_steps(anisotropy):
+    view = camera()
+    [lit] = bake([(cloud(), Medium(20.0, 1.0, anisotropy))], [SUN], view)
+    positions = centres(lit)[lit.emission.any(axis=3).reshape(-1)][::7]
+    frames, eye, middle = [], view.world_matrix[:3, 3], positions.mean(axis=0)
+    # Frame 60 is seen by the camera that baked the light.
+    for angle in np.radians(np.arange(120) - 60.0):
+        turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+        rays = positions - (middle + turn @ (eye - middle))
+        frames.append(lit.towards(positions, rays / np.linalg.norm(rays, axis=1)[:, None]).mean(axis=1))
+    light = np.array(frames)
+    assert light.mean(axis=1).max() > 1.3 * light.mean(axis=1).min()
+    jumps = (light[1:-1] - 0.5 * (light[:-2] + light[2:])) / light.mean(axis=0)
+    # A step of 0.6 % from one frame to the next would be one of 0.003.
+    assert np.sqrt((jumps**2).mean(axis=1)).max() < 0.003
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("directional", [False, True])
+def test_progress_is_about_that_of_time_and_does_not_wait_at_the_end(directional):
+    told, start = [], time.perf_counter()
+
+    def keep(fraction, message):
+        told.append((time.perf_counter() - start, fraction))
+
+    bake([(cloud(voxels=64), MEDIUM)], [SUN], camera(), Settings(directional=directional), keep)
+    seconds, fractions = np.array(told).T
+    # What is expected is within a factor of 1.5 of what was done.
+    assert 0.67 < fractions[-2] < 1.0
+    assert seconds[-1] - seconds[np.argmax(fractions > 0.98)] < 0.3 * seconds[-1]
 
 
 @pytest.mark.slow(seconds=40)

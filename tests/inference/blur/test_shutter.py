@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference import Camera, Medium, SceneError, Settings, Shutter, Volume, render
+from inference import Camera, Medium, Motion, SceneError, Settings, Shutter, Sun, Volume, render
 from inference.blur.eyes import find_eyes
 from inference.blur.shutter import camera_at, matrix_at, shutter_times
 
@@ -94,3 +94,68 @@ def test_deep_samples_are_refused_and_impossible_shutters():
     for values in ({"world_matrices": [placed()]}, {"fovs": (0.5, 4.0)}, {"curve": (0.0, 0.0)}):
         with pytest.raises(SceneError, match="camera: "):
             Shutter(**values)
+
+
+def moved_ball(offset, matrices, name="ball"):
+    """A ball at an offset, that moves by matrices."""
+    volume, medium = ball()
+    frame = np.eye(4)
+    frame[:3, 3] = offset
+    place = frame @ volume.world_from_index
+    return Volume(volume.density, place, name=name, motion=Motion(matrices, np.eye(4))), medium
+
+
+def still_at(pair, time):
+    """A moving volume where it is at a time."""
+    volume, medium = pair
+    place = matrix_at(volume.motion.world_matrices, time) @ volume.world_from_index
+    return replace(volume, world_from_index=place, motion=None), medium
+
+
+def at(x=0.0, y=0.0, turn=0.0, scale=1.0):
+    """As `placed`, at the origin."""
+    matrix = placed(x, turn, scale)
+    matrix[:3, 3] = x, y, 0.0
+    return matrix
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_volumes_are_seen_where_they_are_at_each_time(projection):
+    """One passes behind another that grows while it turns; lit, and from a camera that moves too."""
+    camera = replace(CAMERA, projection=projection, ortho_scale=1.0)
+    camera = replace(camera, shutter=Shutter([placed(-0.05), placed(0.05)]))
+    volumes = [
+        moved_ball((0.1, 0.0, 0.2), [at(scale=0.8), at(turn=0.8, scale=1.3)], "turning"),
+        moved_ball((0.0, 0.05, -0.2), [at(-0.2), at(0.2, 0.1)], "passing"),
+    ]
+    lights = [Sun((0.3, 0.2, 1.0), 1.0)]
+    volumes = [(volume, replace(medium, albedo=np.full(3, 0.5))) for volume, medium in volumes]
+    settings = Settings(blur_rays=8, multiple=False)
+    found = render(volumes, lights, camera, settings)
+    pictures = []
+    for time in (np.arange(64) + 0.5) / 64:
+        seen = [still_at(pair, time) for pair in volumes]
+        pictures.append(render(seen, lights, camera_at(camera, time), settings))
+    sharp = render(volumes, lights, replace(camera, shutter=None), settings)
+    for name, most in (("alpha", 0.05), ("rgb", 0.05)):
+        expected = np.mean([getattr(picture, name) for picture in pictures], axis=0)
+        size = expected[expected > 0.01 * expected.max()].mean()
+        assert np.sqrt(((getattr(found, name) - expected) ** 2).mean()) < most * size
+        assert np.sqrt(((getattr(sharp, name) - expected) ** 2).mean()) > 0.15 * size
+
+
+def test_a_volume_that_moves_with_the_camera_is_as_sharp_as_one_that_stands_still():
+    """Both by the same; multiple scattering is predicted where it was."""
+    lights, settings = [Sun((0.3, 0.2, 1.0), 1.0)], Settings(blur_rays=4)
+    (volume, _), medium = ball(), Medium(sigma_t=20.0, albedo=(0.9, 0.9, 0.9))
+    ride = replace(volume, motion=Motion([at(-0.7, 0.2), at(0.6, -0.3)], np.eye(4)))
+    path = [at(*place) @ placed() for place in ((-0.7, 0.2), (0.6, -0.3))]
+    still = replace(CAMERA, shutter=Shutter([placed(), placed()]))
+    found, expected = (
+        render([(one, medium)], lights, replace(still, shutter=Shutter(matrices)), settings)
+        for one, matrices in ((ride, path), (volume, still.shutter.world_matrices))
+    )
+    assert expected.multiple.max() > 0.01
+    for name in ("alpha", "single", "multiple", "depth"):
+        a, b = getattr(found, name), getattr(expected, name)
+        assert np.allclose(a, b, atol=2e-3 * np.nanmax(np.where(np.isfinite(b), b, 0.0)), equal_nan=True)

@@ -3,6 +3,7 @@
 
 import importlib
 
+import bpy
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ SIZE = 48
 FRAME = 10
 
 
-def keyed(animated, path, values, index=-1):
+def keyed(animated, path, values):
     """Straight lines through values in frames around FRAME, and beyond."""
     for frame, value in values.items():
         setattr(animated, path, value)
@@ -32,6 +33,14 @@ def moving_camera(scene):
 
 def zoom(scene):
     keyed(scene.camera.data, "lens", {FRAME - 1: 35.0, FRAME + 1: 70.0})
+
+
+def moving_cloud(scene):
+    """Along the picture and in depth; it turns and grows."""
+    cloud = scene.objects["Cloud"]
+    keyed(cloud, "location", {FRAME - 2: (-0.6, -0.2, -0.3), FRAME + 2: (0.6, 0.2, 0.3)})
+    keyed(cloud, "rotation_euler", {FRAME - 2: (0.0, 0.0, -0.4), FRAME + 2: (0.2, 0.0, 0.4)})
+    keyed(cloud, "scale", {FRAME - 2: (0.9, 0.9, 0.9), FRAME + 2: (1.1, 1.1, 1.1)})
 
 
 @pytest.fixture
@@ -79,8 +88,93 @@ def errors_against_cycles(scene, folder):
     return errors, change
 
 
+def read(scene, check=lambda: None):
+    package = importlib.import_module("mrpnn.mrpnn_addon.scene.reader")
+    kept = importlib.import_module("mrpnn.mrpnn_addon.scene.kept_frame")
+    return package.read_frame(make.depsgraph(), check=check, go_to=kept.goes_to(scene))
+
+
+def where(scene):
+    return scene.frame_current, scene.frame_subframe
+
+
+def test_a_scene_is_back_in_its_frame_whatever_happens(addon, motion_scene):
+    moving_cloud(motion_scene)
+    motion_scene.frame_set(FRAME, subframe=0.25)
+    found = read(motion_scene)
+    (volume, _), place = found.volumes[0], motion_scene.objects["Cloud"].matrix_world
+    assert where(motion_scene) == (FRAME, 0.25)
+    assert np.allclose(volume.motion.world_matrix, place)
+    # The shutter is open half a frame before and after.
+    assert [matrix[0, 3] for matrix in volume.motion.world_matrices] == pytest.approx([-0.075, 0.075, 0.225])
+
+    def stop(calls=[]):  # noqa: B006
+        calls.append(where(motion_scene))
+        if calls[-1] != calls[0]:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        read(motion_scene, stop)
+    assert where(motion_scene) == (FRAME, 0.25)
+
+
+@pytest.mark.parametrize("position, opens", [("START", 0.0), ("CENTER", -0.4), ("END", -0.8)])
+def test_the_shutter_opens_where_its_position_says(addon, motion_scene, position, opens):
+    moving_camera(motion_scene)
+    motion_scene.render.motion_blur_position, motion_scene.render.motion_blur_shutter = position, 0.8
+    matrices = read(motion_scene).camera.shutter.world_matrices
+    assert np.allclose(matrices[[0, 2], 0, 3], 0.4 * np.array([opens, opens + 0.8]), atol=1e-6)
+    motion_scene.objects["Camera"].cycles.motion_steps = 2
+    assert len(read(motion_scene).camera.shutter.world_matrices) == 5
+    motion_scene.objects["Camera"].cycles.use_motion_blur = False
+    assert read(motion_scene).camera.shutter is None
+
+
+def test_what_stands_still_is_not_blurred(addon, motion_scene):
+    found = read(motion_scene)
+    assert found.camera.shutter is None and found.volumes[0][0].motion is None
+    moving_cloud(motion_scene)
+    motion_scene.objects["Cloud"].cycles.use_motion_blur = False
+    assert read(motion_scene).volumes[0][0].motion is None
+    motion_scene.objects["Cloud"].cycles.use_motion_blur = True
+    motion_scene.view_layers[0].use_motion_blur = False
+    assert read(motion_scene).camera.shutter is None
+
+
+def test_a_camera_that_a_marker_binds_at_the_frame_is_the_one_that_moves(addon, motion_scene):
+    moving_camera(motion_scene)
+    other = motion_scene.camera.copy()
+    motion_scene.collection.objects.link(other)
+    other.animation_data_clear()
+    other.location.x = 5.0
+    for name, frame, camera in (("Before", 1, other), ("Cut", FRAME, motion_scene.camera)):
+        motion_scene.timeline_markers.new(name, frame=frame).camera = camera
+    motion_scene.frame_set(FRAME)
+    assert np.abs(read(motion_scene).camera.shutter.world_matrices[:, 0, 3]).max() < 0.3
+    assert motion_scene.camera.name == "Camera"
+
+
+def test_meshes_that_move_and_grids_of_velocities_are_named(addon, motion_scene, tmp_path):
+    mesh = bpy.data.meshes.new("Wall")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    keyed(make.add_object(motion_scene, "Wall", mesh), "location", {FRAME - 2: (0, 0, 0), FRAME + 2: (1, 0, 0)})
+    text = "\n".join(read(motion_scene).warnings)
+    assert 'mesh object "Wall" moves' in text and "velocities" not in text
+    openvdb, path = make.openvdb(), str(tmp_path / "flow.vdb")
+    grids = openvdb.readAllGridMetadata(motion_scene.objects["Cloud"].data.filepath)
+    flow = openvdb.Vec3SGrid()
+    flow.copyFromArray(np.ones((4, 4, 4, 3), np.float32))
+    flow.name = "velocity"
+    source = motion_scene.objects["Cloud"].data.filepath
+    openvdb.write(path, [openvdb.read(source, grids[0].name), flow])
+    motion_scene.objects["Cloud"].data.filepath = path
+    assert 'volume "Cloud": motion blur shows how it moves as a whole' in "\n".join(read(motion_scene).warnings)
+    motion_scene.render.use_motion_blur = False
+    assert "moves" not in "\n".join(read(motion_scene).warnings)
+
+
 @pytest.mark.slow(seconds=60)
-@pytest.mark.parametrize("move", [moving_camera, zoom])
+@pytest.mark.parametrize("move", [moving_camera, zoom, moving_cloud])
 def test_pictures_are_as_blurred_as_in_cycles(addon, motion_scene, tmp_path, move):
     move(motion_scene)
     errors, change = errors_against_cycles(motion_scene, tmp_path)
