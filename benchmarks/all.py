@@ -7,8 +7,9 @@ What is done for the present code and weights, by this version of Python, is ski
 continues; a command that fails is told and the rest go on. What commands print is kept in build/all. Run it once more
 with Blender 5.2's module for that version's rows. A table that a command prints goes to its file in docs/tables, or
 between the marks <!-- the command --> and <!-- end --> of a page. EEVEE needs a graphics driver, and its viewport a
-display: --eevee "--window --blender COMMAND" names a Blender that has them. --list says which tables in docs are of
-other weights or older code, and runs nothing.
+display: --eevee "--window --blender COMMAND" names a Blender that has them. Screenshots need one in the variable
+MRPNN_WINDOWS, as tests of windows do. --list says which tables in docs are of other weights or older code, and runs
+nothing.
 """
 
 import argparse
@@ -27,7 +28,7 @@ from .support.pages import replace, with_table, write_tables
 from .support.provenance import made_by
 
 #: What decides a figure; pages are not among it.
-CODE = ("inference", "evaluation", "mrpnn_addon", "operators", "training", "benchmarks")
+CODE = ("inference", "evaluation", "mrpnn_addon", "operators", "panels", "training", "benchmarks", "gallery")
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
 EEVEE = "benchmarks.cycles.baked_eevee"
@@ -55,6 +56,7 @@ COMMANDS = (
     "benchmarks.cost.sky --voxels 64",
     "benchmarks.cost.puffs",
     "gallery --compare 320 180 --reference 120 --docs",
+    "tests.windows.screenshots",
     "benchmarks.cost.viewport",
     "benchmarks.cycles.film",
     "benchmarks.cycles.settings",

@@ -43,6 +43,7 @@ def compare(name: str, out: Path, options) -> dict:
         bpy.ops.wm.open_mainfile(filepath=str(out / f"{name}.blend"))
         scene = bpy.context.scene
         scene.render.resolution_x, scene.render.resolution_y = width, height
+        scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
         return scene
 
     with tempfile.TemporaryDirectory() as made:

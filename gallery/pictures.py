@@ -72,7 +72,6 @@ def set_cycles(scene):
     scene.render.engine, settings = "CYCLES", scene.cycles
     settings.use_denoising = settings.use_adaptive_sampling = False
     settings.max_bounces = settings.volume_bounces = BOUNCES
-    settings.caustics_reflective = settings.caustics_refractive = False
     return settings
 
 

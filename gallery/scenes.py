@@ -38,6 +38,11 @@ SCENES = {
         rooms.lights,
         "Seven coloured spots in haze, over a stage that Cycles renders.",
     ),
-    "milk": Entry("Milk in water", rooms.milk, "Baked light alone shows a volume behind a surface that refracts."),
+    "milk": Entry(
+        "Milk in water",
+        rooms.milk,
+        "Baked light alone shows a volume behind a surface that refracts. It lacks the light that the water throws "
+        "back into the milk, which is brighter in Cycles.",
+    ),
     "nebula": Entry("Nebula", rooms.nebula, "Gas that glows, and dust around three stars."),
 }

@@ -2,6 +2,7 @@
 """Volumes at lower resolution, where a render would need more memory than it may use."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,8 +53,12 @@ def halved(volume: Volume) -> Volume:
         means = [_means(np.sign(e) * np.abs(e) ** power) for e in np.moveaxis(volume.emission, 3, 0)]
         emission = np.stack([np.sign(mean) * np.abs(mean) ** (1.0 / power) for mean in means], axis=3)
     scattering = None if volume.scattering is None else tuple(map(_means, volume.scattering))
-    return Volume(
-        _means(volume.density), _placed(volume), volume.name, emission, volume.emission_power, scattering=scattering
+    return replace(
+        volume,
+        density=_means(volume.density),
+        world_from_index=_placed(volume),
+        emission=emission,
+        scattering=scattering,
     )
 
 

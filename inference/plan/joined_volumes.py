@@ -41,7 +41,9 @@ def find_joins(scene: SortedScene, camera: Camera, settings: Settings) -> list[J
     for group in scene.groups:
         alike: dict[Hashable, list[int]] = {}
         for v in group if len(group) >= MANY else ():
-            if attenuates(*scene.volumes[v]) and not scene.volumes[v][1].holdout:
+            volume, medium = scene.volumes[v]
+            # Each moves its own way.
+            if attenuates(volume, medium) and not medium.holdout and (volume.motion is None or camera.shutter is None):
                 alike.setdefault(_kind(*scene.volumes[v]), []).append(v)
         for members in alike.values():
             if len(members) >= MANY:

@@ -42,7 +42,7 @@ class PreferenceProperties:
         min=1,
         max=1024,
         description="Memory that a render may use, in GiB, for scenes that set no limit. A render that needs more "
-        "shows its largest volumes at lower resolution, or is refused before it starts",
+        "loses resolution, or is refused",
     )
     model: EnumProperty(
         name="Network",

@@ -112,8 +112,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         default=0,
         min=0,
         max=1024,
-        description="Memory that a render may use, in GiB. A render that needs more shows its largest volumes at "
-        "lower resolution, or is refused before it starts. 0 uses the limit in the preferences",
+        description="Memory that a render may use, in GiB. A render that needs more loses resolution, or is "
+        "refused. 0 uses the limit in the preferences",
     )
     use_exr: BoolProperty(
         name="Write EXR",

@@ -13,7 +13,7 @@ from ..nodes.light_shader import BACKGROUND, EMISSION, emitted
 from ..nodes.sockets import Unsupported, active_output, source_of
 from ..objects.ignored_settings import WORLD, ignored_settings
 from ..objects.visibility import evaluated_world
-from .picture import WorldSource, is_known, view_coordinates, world_picture, world_source
+from .picture import WorldSource, is_known, reads_depth, view_coordinates, world_picture, world_source
 from .process import PictureFailed
 from .sphere import Sphere
 
@@ -74,6 +74,8 @@ def read_world(
                 f"{name} reads Texture Coordinate > {' and '.join(coordinates)}, which depends on the view; "
                 "volumes get its light for a different view"
             )
+        if reads_depth(world):
+            warnings.append(f"{name} reads Light Path > Ray Depth; volumes get its light for a Ray Depth of 1")
     found = [Environment(sphere.image(radiance), name=name)] if radiance.max() > 0.0 else []
     return discs, found, warnings
 

@@ -160,9 +160,18 @@ def world_picture(
 
 def view_coordinates(world: "bpy.types.World") -> list[str]:
     """Which of VIEW_COORDINATES a World's nodes read."""
+    return sorted(_outputs_read(world, "ShaderNodeTexCoord") & VIEW_COORDINATES)
+
+
+def reads_depth(world: "bpy.types.World") -> bool:
+    """Whether a World's nodes read how often light has scattered."""
+    return "Ray Depth" in _outputs_read(world, "ShaderNodeLightPath")
+
+
+def _outputs_read(world: "bpy.types.World", kind: str) -> set[str]:
+    """Names of the outputs that are linked of nodes of a kind."""
     links = [link for tree in trees(world) for link in tree.links]
-    read = {link.from_socket.name for link in links if link.from_node.bl_idname == "ShaderNodeTexCoord"}
-    return sorted(read & VIEW_COORDINATES)
+    return {link.from_socket.name for link in links if link.from_node.bl_idname == kind}
 
 
 def forget() -> None:

@@ -111,12 +111,16 @@ def _light(scene: "bpy.types.Scene", trees: list, target: str) -> dict[str, np.n
     return {"sky": sky, "suns": np.array(suns).reshape(-1, 7)}
 
 
+# Outputs of Light Path that are not 0 for light that volumes scatter once and that comes from infinity.
+LIGHT_PATH = {"Is Volume Scatter Ray": 1.0, "Ray Length": 3.0e38, "Ray Depth": 1.0}
+
+
 def _as_volumes_see(tree: Any) -> None:
     """Replace light path queries by their values for light that volumes scatter."""
     for link in list(tree.links):
         node, socket = link.from_node, link.to_socket
         if node.bl_idname == "ShaderNodeLightPath" and hasattr(socket, "default_value"):
-            value = float(link.from_socket.identifier == "Is Volume Scatter Ray")
+            value = LIGHT_PATH.get(link.from_socket.identifier, 0.0)
             tree.links.remove(link)
             try:
                 socket.default_value = value

@@ -2,6 +2,7 @@
 """Each scene of the gallery is made and rendered, small, as an artist would; and the templates open in Blender."""
 
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -81,3 +82,21 @@ def test_the_page_is_that_of_the_scenes_and_figures():
     assert shown and shown <= set(scenes.SCENES)
     assert [name for name in shown if not (page.PICTURES / f"{name}.jpg").exists()] == []
     assert ROOT in page.PAGE.parents
+
+
+@pytest.mark.slow
+def test_errors_beside_cycles_are_those_of_the_pictures(addon, tmp_path):
+    make("noon", tmp_path, DETAIL)
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    pictures.ours(scene, tmp_path / "ours.png", tmp_path / "light")
+    scene.cycles.film_exposure = 0.5
+    pictures.ours(scene, tmp_path / "dark.png", tmp_path / "light")
+    scene.cycles.film_exposure = 1.0
+    # The extension has rays through pixels' centres alone.
+    scene.cycles.filter_width = 0.01
+    paths = [tmp_path / "ours.png", tmp_path / "dark.png"]
+    assert pictures.radiance(paths[1]) == pytest.approx(pictures.radiance(paths[0]) / 2, rel=1e-3, abs=1e-5)
+    ours, dark = (re.findall(r"[\d.]+", text) for text in pictures.errors(scene, paths, tmp_path, 16))
+    # Half the light errs by half of the mean, and by more where the picture is bright.
+    assert float(ours[-1]) < 0.3 and 0.5 < float(dark[0]) < 0.7, (ours, dark)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from inference import Medium, SceneError, Settings, Volume, bake, render
+from inference import Medium, Motion, SceneError, Settings, Volume, bake, render
 from inference.grids.grid import Grid
 from inference.plan.coarser import fitting_volumes, halved
 from tests.support.volumes import SUN, camera, cloud
@@ -26,7 +26,9 @@ def test_half_the_resolution_keeps_what_there_is_where_it_is():
     volume = smooth()
     glow = np.stack([volume.density, 2.0 * volume.density, -volume.density], axis=3)
     volume = Volume(volume.density, volume.world_from_index, "long", glow, 2, scattering=(0.5 * volume.density,))
+    volume.motion = Motion([np.eye(4), 2.0 * np.eye(4)], np.eye(4))
     coarse = halved(volume)
+    assert coarse.motion is volume.motion
     assert coarse.density.shape == (129, 20, 17)
     assert 8.0 * coarse.density.sum(dtype=float) == pytest.approx(volume.density.sum(dtype=float), rel=1e-5)
     np.testing.assert_allclose(coarse.scattering[0], 0.5 * coarse.density, rtol=1e-5)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from inference import Medium, RenderCache, Settings, Sun, Volume, render
+from inference import Medium, Motion, RenderCache, Settings, Shutter, Sun, Volume, render
 from inference.plan.joined_volumes import find_joins
 from inference.plan.overlap import MANY, overlapping
 from inference.plan.plan import sort_scene
@@ -39,6 +39,15 @@ def picture(volumes, optimizations=ALL, lights=(SUN,), cache=None, shift=0.0, **
 
 def joins(volumes, lights=(SUN,), **settings):
     return find_joins(sort_scene(volumes, list(lights)), camera(), Settings(**settings))
+
+
+def test_volumes_that_move_are_not_joined():
+    volumes, moving = puffs(), camera()
+    moving.shutter = Shutter()
+    for volume, _ in volumes[1:]:
+        volume.motion = Motion([np.eye(4), np.eye(4)], np.eye(4))
+    scene = sort_scene(volumes, [SUN])
+    assert find_joins(scene, camera(), Settings()) and not find_joins(scene, moving, Settings())
 
 
 def change(image, other, shown):

@@ -106,3 +106,28 @@ def test_a_thread_has_the_world_rendered_and_can_be_cancelled(addon, scene, tmp_
     assert done.error is None
     assert len(reading.VolumeReader().wanted(blender_scenes.depsgraph())) == 1
     assert shown(scene, pictures).sky.max() > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("output", ["Is Shadow Ray", "Is Volume Scatter Ray", "Ray Length", "Ray Depth"])
+def test_light_paths_have_their_values_for_light_that_volumes_scatter(addon, scene, tmp_path, output):
+    """One of two colours lights a thin cloud, the same as in Cycles."""
+    blender_scenes.cloud_scene(scene, tmp_path, density=0.5)
+    bpy.data.objects.remove(scene.objects["Sun"])
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    tree = scene.world.node_tree
+    mixed, path, red = (tree.nodes.new(f"ShaderNode{name}") for name in ("MixShader", "LightPath", "Background"))
+    if output not in path.outputs:
+        pytest.skip("this Blender's Light Path has no such output")
+    blue = tree.nodes["Background"]
+    blue.inputs["Strength"].default_value = 1.0
+    blue.inputs["Color"].default_value, red.inputs["Color"].default_value = (0.0, 0.0, 1.0, 1.0), (1.0, 0.0, 0.0, 1.0)
+    tree.links.new(path.outputs[output], mixed.inputs[0])
+    tree.links.new(blue.outputs[0], mixed.inputs[1])
+    tree.links.new(red.outputs[0], mixed.inputs[2])
+    tree.links.new(mixed.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+    found = addon.mrpnn_addon.scene.reader.read_scene(blender_scenes.depsgraph())
+    colour = found.environments[0].radiance.mean(axis=(0, 1))
+    expected = blender_scenes.render_cycles(scene, tmp_path, samples=16)[..., :3].mean(axis=(0, 1))
+    np.testing.assert_allclose(colour / colour.sum(), expected / expected.sum(), atol=0.02)
+    assert any("Ray Depth of 1" in text for text in found.warnings) == (output == "Ray Depth")
