@@ -360,7 +360,9 @@ def _with_light_of_surfaces(context: RenderContext, scene: PreparedScene, surfac
     eye = vantage(surfaces, scene.corners, scene.camera) if scene.grids and (plan.reflects or plan.sky) else None
     if eye is None:
         return scene
-    scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
+    # Light that surfaces hide in places ends at them, in the whole medium.
+    if all(environment.weight is None for environment in plan.environments):
+        scene = replace(scene, open_groups=_open_groups(context, scene, surfaces, eye))
     if not plan.reflects:
         return scene
     with context.report.stage("surfaces"):

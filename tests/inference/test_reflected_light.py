@@ -172,7 +172,7 @@ def test_places_below_the_edge_of_a_roof_see_different_skies():
     open_to = visibility.towards(places)[:, above].mean(axis=1)
     # Of the upper half of the sphere, the angle between the roof's edge and the opposite horizon.
     assert open_to == pytest.approx(0.5 + np.arctan2(places[:, 0], 0.6 - places[:, 2]) / np.pi, abs=0.06)
-    assert visibility.towards(places)[:, ~above].min() == 1.0
+    assert visibility.towards(places)[:, ~above].min() > 0.999
     assert visibility(places) == pytest.approx(0.5 * (1.0 + open_to), abs=1e-6)
 
 
