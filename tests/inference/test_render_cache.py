@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import training.rpnn  # noqa: F401  Lets settings name it.
 from inference import Camera, Cancelled, Medium, RenderCache, Settings, Sun, Volume, render, render_cache
 from inference.network.network import load_network
 
