@@ -11,9 +11,11 @@ from inference.scene import (
     Lens,
     Light,
     Medium,
+    Motion,
     PointLight,
     SceneError,
     Settings,
+    Shutter,
     SparseGrid,
     SpotLight,
     Sun,
@@ -21,7 +23,20 @@ from inference.scene import (
     Volume,
 )
 
-NO_LIGHTS = {Camera, Cancelled, Lens, Light, Medium, SceneError, Settings, SparseGrid, Surface, Volume}
+NO_LIGHTS = {
+    Camera,
+    Cancelled,
+    Lens,
+    Light,
+    Medium,
+    Motion,
+    SceneError,
+    Settings,
+    Shutter,
+    SparseGrid,
+    Surface,
+    Volume,
+}
 
 
 def one_of_each():
