@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..mrpnn_addon.baking import baked_scene, live
+from ..mrpnn_addon.baking import baked_scene, compiling, live
 from ..mrpnn_addon.engine import engine
 from ..mrpnn_addon.output import composite as composite_scene
 from ..mrpnn_addon.runtime import shutdown
@@ -24,6 +24,7 @@ MODULES = (
     engine,
     composite_scene,
     baked_scene,
+    compiling,
     live,
     calibration,
     shutdown,

@@ -18,6 +18,7 @@ from ..nodes.material import LIGHT_MARK
 from ..scene.reader import SceneDescription
 from ..settings.properties import scene_settings
 from .bake_job import BakedScene, BakedVolume
+from .compiling import draw_again
 from .content import light_keys, volume_names
 from .light_material import light_material, reuse, set_frame
 
@@ -211,6 +212,7 @@ def _set_material(item: MRPNN_PG_lit_volume, one: BakedVolume) -> None:
     item.spare = before
     materials.clear()
     materials.append(found)
+    draw_again()
 
 
 def _light_object(name: str) -> "bpy.types.Object":

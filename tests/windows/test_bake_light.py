@@ -43,21 +43,21 @@ def lit(window):
 
 
 def picture(window, name):
-    """Means of the middle of the viewport, and of its lower edge inside the camera's view, where there is no cloud."""
+    """Means of the middle of the viewport, and beside the cloud in its box, where the cloud is not."""
     screen = window.shot(name)
     left, top, right, bottom = window.box("VIEW_3D")
     x, y = (left + right) // 2, (top + bottom) // 2
     return float(screen[y - 40 : y + 40, x - 40 : x + 40].mean()), float(
-        screen[y + 190 : y + 205, x - 20 : x + 20].mean()
+        screen[y - 190 : y - 160, x - 200 : x - 170].mean()
     )
 
 
 def compiled(window, name):
-    """As `picture`, once EEVEE has compiled the light's shader: until then it fills the light's box."""
+    """As `picture`, once EEVEE has compiled the light's material: until then it fills the light's box."""
     start = time.monotonic()
     while True:
-        middle, edge = picture(window, name)
-        if edge < 0.5 * middle:
+        middle, corner = picture(window, name)
+        if corner < 0.1 * middle:
             return middle
         assert time.monotonic() - start < LONG, "the light fills its box"
 
