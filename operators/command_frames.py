@@ -50,15 +50,20 @@ def require_none(failed: dict[int, str], frames: list[int]) -> None:
         raise SceneError(f"{len(failed)} of {len(frames)} frames failed: {reasons}")
 
 
-def frame_reader(options: argparse.Namespace, frames: list[int]) -> Callable[[int], SceneDescription]:
-    """A function that reads a frame of the scene. Several frames are an animation, which goes on without volumes."""
+def frame_reader(
+    options: argparse.Namespace, frames: list[int], motion: bool = True
+) -> Callable[[int], SceneDescription]:
+    """A function that reads a frame of the scene. Several frames are an animation, which goes on without volumes.
+
+    motion: whether to read what moves while the shutter is open.
+    """
 
     def read(frame: int) -> SceneDescription:
         # Even for the current frame: an override may change what is evaluated.
         go_to = goes_to(bpy.context.scene)
         go_to(frame, 0.0)
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        description = read_frame(depsgraph, goes_on=len(frames) > 1, go_to=go_to)
+        description = read_frame(depsgraph, goes_on=len(frames) > 1, go_to=go_to if motion else None)
         if options.strict:
             require_all(description)
         return description

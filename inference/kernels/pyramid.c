@@ -208,6 +208,8 @@ static void cut_row(const Resampling *grid, const double *first, const double *r
             to = -1.0;
         }
     }
+    /* A row may meet the grid far beyond what integers hold. */
+    if (from > (double)grid->shape[2]) from = (double)grid->shape[2];
     /* What rounding may add. */
     *begin = from > 1.0 ? (int64_t)from - 1 : 0;
     *end = to < 0.0 ? 0 : to + 2.0 < (double)grid->shape[2] ? (int64_t)to + 2 : grid->shape[2];

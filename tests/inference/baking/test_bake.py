@@ -170,11 +170,11 @@ def test_light_that_ground_throws_back_is_baked_with_what_scatters_once(light):
 
 
 @pytest.mark.slow
-def test_an_environment_that_surfaces_shadow_unevenly_is_baked_as_parallel_light():
+def test_an_environment_that_surfaces_shadow_unevenly_is_baked_as_each_point_sees_it():
     corners = np.array([[-9.0, -9.0, -0.1], [0.1, -9.0, -0.1], [0.1, 9.0, -0.1], [-9.0, 9.0, -0.1]])
     half = Surface(corners[[[0, 1, 2], [0, 2, 3]]])
     [lit] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT, surfaces=[half])
-    assert any("as parallel light" in sentence for sentence in lit.report.planned)
+    assert any("as each point of the volumes sees it" in sentence for sentence in lit.report.planned)
     [free] = bake([(cloud(), MEDIUM)], [sky()], camera(), EXACT)
     # The floor keeps away what comes from below.
     assert 0.6 * free.emission.mean() < lit.emission.mean() < 0.95 * free.emission.mean()
