@@ -25,10 +25,15 @@ def draw_again() -> None:
 
 def _draw() -> float | None:
     if any(map(_shows_eevee, bpy.context.window_manager.windows)):
-        for data in bpy.data.volumes:
-            if LIGHT_MARK in data:
-                data.update_tag()
+        for data in _baked():
+            data.update_tag()
     return _left.pop(0) if _left else None
+
+
+def _baked() -> list[Any]:
+    """Volume data-blocks of baked light."""
+    volumes: Any = bpy.data.volumes
+    return [data for data in volumes if LIGHT_MARK in data]
 
 
 def _shows_eevee(window: "bpy.types.Window") -> bool:
@@ -40,7 +45,7 @@ def _shows_eevee(window: "bpy.types.Window") -> bool:
 
 @bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
-    if any(LIGHT_MARK in data for data in bpy.data.volumes):
+    if _baked():
         draw_again()
 
 
