@@ -39,8 +39,8 @@ SHOWN = 3e-3
 # Means of two eyes, which see a scene from 0.4 apart at a distance of 4.5.
 EYES = 0.2
 # Light of the bake along its rays beside the layer's, relative to the mean: of the mean, and of pixels, which see the
-# edges of few coarse voxels.
-BAKED_MEAN, BAKED = 0.1, 0.2
+# edges of few coarse voxels: instances of a metaball differ by 0.29.
+BAKED_MEAN, BAKED = 0.1, 0.3
 # Alpha beside Cycles', whose noise at so few samples is a third of this.
 CYCLES_SAMPLES, CYCLES_MEAN = 256, 0.02
 # Why Bake Light and Compare with Cycles refuse a scene in which nothing shines; the other doors show it black.
