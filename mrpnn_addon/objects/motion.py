@@ -90,10 +90,10 @@ def read_motion(
     every = {count: (most - 1) // (count - 1) for count in (*steps, *counts.values()) if count}
     moving = {}
     for key, matrices in places.items():
-        some = matrices[:: every[counts[key]]]
+        steps_seen = matrices[:: every[counts[key]]]
         # What is not there all the time stands still, as in Cycles.
-        if len(matrices) == most and not all(np.allclose(matrix, some[0], STILL, STILL) for matrix in some):
-            moving[key] = np.array(some)
+        if len(matrices) == most and not all(np.allclose(matrix, steps_seen[0], STILL, STILL) for matrix in steps_seen):
+            moving[key] = np.array(steps_seen)
     curve = shutter_curve(scene.render)
     shutters = [
         _shutter([then[n] for then in seen[:: every[count]]] if count else [], curve) for n, count in enumerate(steps)
