@@ -177,10 +177,9 @@ def seen_first(surface, places):
     return np.array(found)
 
 
-@pytest.mark.parametrize("surface", [bars(), replace(ring(), triangles=ring(0.7, 0.25).triangles + (2.5, 0.0, 0.0))])
-def test_what_a_mesh_hides_of_itself_does_not_shine(surface):
-    places = POINTS[::20]
+def test_what_a_mesh_hides_of_itself_does_not_shine():
+    places, surface = POINTS[::20], bars()
     expected, found = seen_first(surface, places), fluence(MeshLight(surface), places)
     assert found.mean() == pytest.approx(expected.mean(), rel=0.15)
-    shining = sum(part.fluence(places) for part in MeshLight(surface)._all_emitters(LOW, HIGH, CORNERS, 16))
-    assert (shining * MeshLight(surface).power[0]).mean() > 1.2 * expected.mean()
+    # Without what is hidden, the bars would shine more.
+    assert summed(surface, places).mean() > 1.5 * expected.mean()
