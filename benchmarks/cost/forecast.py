@@ -5,7 +5,8 @@
 
 Sets up each scene, notes the panel's estimate for one thread before anything is read or rendered, and compares it with
 the processor seconds, of this process and of those that it starts, of reading and rendering it as F12 does in a window,
-with a coarse picture first. Processor time, since an estimate is of a machine that does nothing else.
+with a coarse picture first. Processor time, since an estimate is of a machine that does nothing else. No fluid domain:
+the bpy module cannot simulate.
 """
 
 import argparse
@@ -85,33 +86,6 @@ def image(scene: "bpy.types.Scene") -> None:
     tree.nodes["Background"].inputs["Strength"].default_value = 0.5
 
 
-def fluid(scene: "bpy.types.Scene") -> None:
-    """Smoke of Blender's own simulation, after ten frames."""
-    from tests.support import blender_scenes as scenes
-
-    bpy.ops.mesh.primitive_cube_add(size=3.0)
-    domain = bpy.context.object
-    scenes.add_fog(domain.data, "Smoke", "ShaderNodeVolumePrincipled", Density=5.0)
-    settings = fluid_modifier(domain, "DOMAIN").domain_settings
-    settings.domain_type, settings.resolution_max = "GAS", 48
-    settings.cache_type, settings.cache_directory = "REPLAY", tempfile.mkdtemp()
-    settings.cache_frame_start, settings.cache_frame_end = 1, 10
-    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.4, location=(0.0, 0.0, -1.0))
-    source = bpy.context.object
-    source.hide_render = True
-    source.hide_set(True)
-    flow = fluid_modifier(source, "FLOW").flow_settings
-    flow.flow_type, flow.flow_behavior = "SMOKE", "INFLOW"
-    for frame in range(1, 11):
-        scene.frame_set(frame)
-
-
-def fluid_modifier(shown: "bpy.types.Object", kind: str) -> "bpy.types.FluidModifier":
-    modifier = shown.modifiers.new("Fluid", "FLUID")
-    modifier.fluid_type = kind
-    return modifier
-
-
 def smoke_around_the_camera(scene: "bpy.types.Scene") -> None:
     file(scene, SMOKE, 12.0, Density=2.0)
     scene.camera.location = (0.0, 0.0, 0.5)
@@ -155,7 +129,6 @@ SCENES: dict[str, Callable] = {
     "cloud": lambda scene: file(scene, WIND, Density=20.0),
     "cloud, grey World": lambda scene: [file(scene, WIND, Density=20.0), grey(scene)],
     "cloud, World of an image": lambda scene: [file(scene, WIND, Density=20.0), image(scene)],
-    "fluid domain, grey World": lambda scene: [fluid(scene), grey(scene)],
     "smoke, four point lamps": lambda scene: [file(scene, SMOKE, Density=5.0), lamps(scene, "POINT", 4)],
     "dense smoke, grey World": lambda scene: [file(scene, SMOKE, Density=10.0), grey(scene)],
     "camera in smoke, grey World": smoke_around_the_camera,

@@ -108,7 +108,9 @@ class MeshLight(Lamp):
         """Share of the light towards a box with these corners (8, 3) that no other part of the mesh hides."""
         key = corners.tobytes()
         if key not in self._shares:
-            seen, whole = np.sum([self._seen_from(place) for place in (*corners, corners.mean(axis=0))], axis=0)
+            # Gaussian quadrature over the box.
+            places = corners.mean(axis=0) + (corners - corners.mean(axis=0)) / np.sqrt(3.0)
+            seen, whole = np.sum([self._seen_from(place) for place in places], axis=0)
             self._shares[key] = float(seen / whole) if whole > 0.0 else 1.0
         return self._shares[key]
 
