@@ -27,7 +27,7 @@ ROUND = 1.5
 # Points on a mesh that tell how much of it hides behind itself, and how many of them a cell of directions holds where
 # one layer of the mesh is seen from in front. Points that much deeper than the first of a cell, in widths of the cell,
 # are hidden, plus so much on a slope.
-SAMPLES, PER_CELL = 1 << 13, 8
+SAMPLES, PER_CELL = 1 << 12, 8
 DEEPER, DEEPER_ON_SLOPES = 0.5, 1.5
 # Least cosine of a sample that counts: of those seen at a flat angle depth tells nothing.
 FLAT = 0.05
@@ -122,21 +122,23 @@ class MeshLight(Lamp):
         directions = away / distance[:, None]
         cosines = (directions * normals).sum(axis=1)
         cosines = cosines if self.closed else np.abs(cosines)
-        width = float(np.sqrt(PER_CELL * self.area / SAMPLES) / np.median(distance))
-        _, cells = np.unique(np.floor(directions / width).astype(np.int64), axis=0, return_inverse=True)
+        width = max(float(np.sqrt(PER_CELL * self.area / SAMPLES) / np.median(distance)), 1e-5)
+        x, y, z = np.floor((1.0 + directions) / width).astype(np.int64).T
+        count = int(2.0 / width) + 2
+        _, cells = np.unique((x * count + y) * count + z, return_inverse=True)
         first = np.full(len(points), np.inf)
-        np.minimum.at(first, cells.reshape(-1), distance)
+        np.minimum.at(first, cells, distance)
         facing = cosines > FLAT
         cosines, distance = cosines[facing], distance[facing]
         slope = np.sqrt(np.maximum(1.0 - cosines**2, 0.0)) / cosines
         deeper = width * distance * (DEEPER + DEEPER_ON_SLOPES * slope)
         light = cosines / distance**2
-        return float(light @ (distance <= first[cells.reshape(-1)][facing] + deeper)), float(light.sum())
+        return float(light @ (distance <= first[cells][facing] + deeper)), float(light.sum())
 
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
-        """As of PointLight."""
+        """As of PointLight. A single one is rough, and as bright as if no part of the mesh hid another."""
         corners = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
-        share = self._unhidden(corners)
+        share = self._unhidden(corners) if most > 1 else 1.0
         return [emitter.dimmed(share) for emitter in self._all_emitters(low, high, corners, most)]
 
     def _all_emitters(
