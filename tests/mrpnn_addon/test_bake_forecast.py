@@ -61,7 +61,7 @@ def test_as_many_predictions_are_expected_as_a_bake_makes(addon, scene, cloud, s
     assert (expected.suns, expected.lamps, expected.worlds) == (suns, 0, 0)
     [lit] = bake(found.volumes, found.lights, found.camera, Settings(directional=directional))
     # All suns are predicted at the same points.
-    points = lit.report.counts["network points"]
+    points = lit.report.counts["network points"] / suns
     assert points / RIGHT < expected.points < points * RIGHT
 
 
