@@ -55,7 +55,7 @@ COMMANDS = (
     "benchmarks.cost.sparse",
     "benchmarks.cost.sky --voxels 64",
     "benchmarks.cost.puffs",
-    "benchmarks.cost.baked_frames",
+    "benchmarks.cycles.baked_frames",
     "gallery --compare 320 180 --reference 120 --docs",
     "tests.windows.screenshots",
     "benchmarks.cost.viewport",
@@ -125,7 +125,7 @@ TABLES = {
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512": "baked-surroundings",
     "benchmarks.cycles.baked_light": "baked-views",
     "benchmarks.cycles.baked_room": "baked-room",
-    "benchmarks.cost.baked_frames": "baked-frames",
+    "benchmarks.cycles.baked_frames": "baked-frames",
     EEVEE: "baked-eevee",
     "benchmarks.cycles.baked_ways": "baked-ways",
 }

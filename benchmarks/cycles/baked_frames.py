@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a frame of Bake Animation takes beside a single bake, and whether memory stays flat.
 
-    python -m benchmarks.cost.baked_frames [--frames 100] [--voxels 100]
+    python -m benchmarks.cycles.baked_frames [--frames 100] [--voxels 100]
 
 A sun turns about a cloud of so many voxels along an edge, so that each frame is baked. Prints processor seconds per
 frame, files included, over those of a single bake, and how much memory the process gained after the first tenth of the
@@ -18,7 +18,7 @@ from pathlib import Path
 from ..support.extension import load_extension
 from ..support.provenance import made_by
 
-PROGRAM = "benchmarks.cost.baked_frames"
+PROGRAM = "benchmarks.cycles.baked_frames"
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
