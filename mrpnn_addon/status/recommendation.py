@@ -42,17 +42,15 @@ class Recommendation:
 def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
     """What suits what renders show, without reading volumes."""
     scene = depsgraph.scene
-    needs, surfaces, thin = [], False, True
+    needs, surfaces = [], False
     for shown in visible_objects(depsgraph):
         if is_surface(shown):
             surfaces = True
             needs += surroundings(shown)
-        elif shows_volume(shown.object):
-            thin = thin and _thickness(shown) < THIN
     if needs:
         found = list(dict.fromkeys(needs))
         listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"
-        if thin:
+        if scatters_seldom(depsgraph):
             return Recommendation(
                 CYCLES,
                 f"This scene has {listed}, which MRPNN Volumes does not render. Its volumes are thin: a few volume "
@@ -79,6 +77,11 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
         LAYER,
         "MRPNN Volumes renders all of this scene. Bake the light only where Cycles or EEVEE has to render the volumes",
     )
+
+
+def scatters_seldom(depsgraph: "bpy.types.Depsgraph") -> bool:
+    """Whether a few bounces of Cycles show all light that the volumes scatter, in less time than a bake takes."""
+    return all(_thickness(shown) < THIN for shown in visible_objects(depsgraph) if shows_volume(shown.object))
 
 
 def _thickness(shown: VisibleObject) -> float:
