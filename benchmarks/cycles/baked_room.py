@@ -156,7 +156,7 @@ def measure(folder: Path, size: tuple[int, int], reference: int, density: float)
     start = time.process_time()
     bpy.ops.mrpnn.bake_light(folder=str(folder))
     bake = time.process_time() - start
-    print(f"| the bake | | | {' | ' * len(parts)}{bake:.1f} |".replace("|  |", "| |"), flush=True)
+    print(f"| the bake |{' |' * (len(parts) + 2)} {bake:.1f} |", flush=True)
     for samples in SAMPLES:
         row("baked light", samples, lambda samples=samples: picture(samples, 0), bake)
         row("baked light, denoised", samples, lambda samples=samples: picture(samples, 0, use_denoising=True), bake)

@@ -27,7 +27,7 @@ VOLUME, CELL, VOXEL = 0.1, 5.0e-8, 8.0e-7
 # Of the coarse transport and lattices of each light and group, and of surfaces.
 FIELD_SUN, FIELD_LAMP, FIELD_WORLD, SURFACES = 0.55, 1.0, 0.5, 1.7
 # Of each prediction of a sun, a lamp and the World, and of each point of a coarse grid and direction.
-POINT_SUN, POINT_LAMP, POINT_WORLD, GRID_POINT = 1.3e-5, 1.5e-5, 2.5e-5, 2.5e-7
+POINT_SUN, POINT_LAMP, POINT_WORLD, GRID_POINT = 1.3e-5, 2.0e-5, 2.5e-5, 2.5e-7
 
 
 @dataclass
@@ -101,5 +101,7 @@ def _modelled(work: BakeWork, threads: int) -> float:
     parallel, fields = max(threads, 1) ** SCALING, max(threads, 1) ** FIELD_SCALING
     field = FIELD_SUN * work.suns + FIELD_LAMP * work.lamps + FIELD_WORLD * skies
     points = work.points * (POINT_SUN * work.suns + POINT_LAMP * work.lamps) + work.sky_points * POINT_WORLD * skies
+    # Rays are marched through all volumes that overlap.
+    points *= (work.volumes / max(work.groups, 1)) ** 0.5
     alone = VOLUME * work.volumes + CELL * work.cells + VOXEL * work.voxels + GRID_POINT * work.grid_points
     return alone + (work.groups * field + SURFACES * work.surfaces) / fields + points / parallel

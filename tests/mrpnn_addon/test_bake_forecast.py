@@ -8,6 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from benchmarks.cost import forecast as forecasts
 from inference import Settings, bake
 from tests.support import blender_scenes
 
@@ -89,6 +90,18 @@ def test_a_bake_calibrates_further_estimates(addon, scene, cloud, said, tmp_path
     calibration.forget()
     (tmp_path / ".user" / calibration.FILE).unlink()
     assert said(False).seconds != pytest.approx(before, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_estimates_of_new_scenes_are_right_beside_each_other(addon, scene):
+    """In processor seconds of one thread, since the constants are of one machine. More scenes in the benchmark."""
+    cases = [(name, directional) for name in ("cloud", "cloud, grey World") for directional in (False, True)]
+    errors = {}
+    for name, directional in cases:
+        expected, took = forecasts.compare_bake(addon, name, (160, 90), directional)
+        errors[name, directional] = expected.seconds / took
+    typical = np.exp(np.mean(np.log(list(errors.values()))))
+    assert all(1.0 / RIGHT < error / typical < RIGHT for error in errors.values()), errors
 
 
 def test_nothing_is_estimated_where_nothing_is_baked(addon, scene, cloud, said):
