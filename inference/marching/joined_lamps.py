@@ -39,7 +39,9 @@ class JoinedLamps:
     @cached_property
     def emitters(self) -> list[Emitter]:
         """As of LampInMedia: those of all of them."""
-        return [emitter.dimmed(float(power)) for lamp, power in zip(self.lamps, self.powers) for emitter in lamp.emitters]
+        return [
+            emitter.dimmed(float(power)) for lamp, power in zip(self.lamps, self.powers) for emitter in lamp.emitters
+        ]
 
     @property
     def depths(self) -> list[list[LampOpticalDepth]]:
