@@ -167,6 +167,16 @@ def test_only_what_has_changed_is_baked_again(addon, scene, cloud, tmp_path):
     assert [shown["mrpnn_light"] for shown in lights()] == ["Cloud"]
 
 
+def test_materials_have_few_nodes(addon, scene, cloud, tmp_path):
+    """EEVEE compiles them for seconds, or minutes without a graphics card."""
+    counts = []
+    for directional in (True, False):
+        bake(tmp_path, directional=directional, everything=True)
+        [shown] = lights()
+        counts.append(len(shown.data.materials[0].node_tree.nodes))
+    assert counts[0] <= 150 and counts[1] <= 12
+
+
 def test_files_are_half_floats_without_empty_voxels(addon, scene, cloud, tmp_path):
     scene.objects["Sun"].data.energy = 1e9
     bake(tmp_path)
