@@ -63,9 +63,9 @@ def test_lamps_beside_brighter_ones_need_fewer_points():
         settings, medium = Settings(4, optimizations=optimizations), Medium(40.0, 0.9, 0.857)
         return render([(CLOUD, medium)], lamps, camera(resolution=(150, 100)), settings, cache=CACHE)
 
-    around = [PointLight(along(*way), power) for way, power in (((1, 0, 0.5), 40.0), ((0, 1, 0.2), 20.0))]
+    around = [PointLight(along(*way), power) for way, power in (((1, 0, 0.5), 40.0), ((0, 1, 0.2), 4.0))]
     points = [seen(lamps).report.counts["network points"] for lamps in (around[:1], around[1:], around)]
-    assert points[2] < 0.95 * (points[0] + points[1])
+    assert points[2] - points[0] < 0.8 * points[1]
     assert change(seen(around), seen(around, JOINED)) < OPTIMIZATIONS["shared_pixels"].budget
 
 
