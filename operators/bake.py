@@ -203,7 +203,8 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
     def finish(self, context: "bpy.types.Context") -> set[str]:
         """Show the light."""
         frames = self._sequence.frames
-        if any(one.volumes for one in frames):
+        shows_light = any(one.volumes for one in frames)
+        if shows_light:
             show_sequence(context.scene, frames)
         for warning in dict.fromkeys(warning for one in frames for warning in one.warnings):
             report(self, "WARNING", warning)
@@ -211,7 +212,10 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         what = f"baked the light of {len(self._seconds)} of {len(frames)} frames; the others have not changed"
         if len(self._seconds) == len(frames):
             what = f"baked the light of {len(frames)} frames"
-        report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
+        if shows_light:
+            report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
+        else:
+            report(self, "INFO", "no frame shows a volume, so there is no light to bake")
         return {"FINISHED"}
 
     def _prepare(self, scene: "bpy.types.Scene") -> None:
