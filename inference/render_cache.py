@@ -11,6 +11,7 @@ from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid, Voxels
 from .grids.merge import join, merge
 from .grids.working_cube import fit_cube
+from .marching.joined_lamps import PredictedLamp
 from .marching.lamp_in_media import LampInMedia, lamp_key, place_lamp
 from .marching.mean_lamp_depth import MeanLampDepth, mean_lamp_depth
 from .network.environment_network import EnvironmentNetwork, load_environment_network
@@ -52,6 +53,7 @@ class RenderCache:
         self._grids: list[tuple[Volume, Grid]] = []
         self._lamps: list[tuple[Sequence[Grid], LampInMedia]] = []
         self._mean_depths: dict[tuple[bytes, float], tuple[Grid, MeanLampDepth]] = {}
+        self._used_depths: set[tuple[bytes, float]] = set()
         self._merged: dict[int, tuple[Members, tuple[Volume, Medium]]] = {}
         self._joined: list[tuple[float, Members, tuple[Volume, Medium]]] = []
         self._predictors: dict[int, VolumePredictor] = {}
@@ -113,11 +115,12 @@ class RenderCache:
                 # Its power may have changed.
                 found.append(replace(placed, lamp=lamp))
             self._lamps = [(grids, placed) for placed in found]
-            keys = {placed.key for placed in found}
-            self._mean_depths = {key: known for key, known in self._mean_depths.items() if key[0] in keys}
+            # Those of the last render.
+            self._mean_depths = {key: self._mean_depths[key] for key in self._used_depths}
+            self._used_depths.clear()
             return found
 
-    def mean_lamp_depth(self, lamp: LampInMedia, medium: BoundMedium, tasks: Tasks) -> MeanLampDepth:
+    def mean_lamp_depth(self, lamp: PredictedLamp, medium: BoundMedium, tasks: Tasks) -> MeanLampDepth:
         """As the function of that name, for a lamp in one medium alone."""
         key = lamp.key, medium.sigma_t
         with tasks.cancel.locked(self._lock):
@@ -125,6 +128,7 @@ class RenderCache:
             if known is None or known[0] is not medium.grid:
                 known = medium.grid, mean_lamp_depth(lamp, medium, tasks)
             self._mean_depths[key] = known
+            self._used_depths.add(key)
             return known[1]
 
     def group(

@@ -23,6 +23,9 @@ from .adaptive_interpolation import (
 )
 from .context import RenderContext
 
+# Most times by which other light raises what is tolerated.
+MOST_MASKED = 4.0
+
 
 def sample_batches(points: np.ndarray) -> list[np.ndarray]:
     """Points in batches of one network call each."""
@@ -95,11 +98,16 @@ def pixels_per_voxel(estimate: Estimate, voxel: float) -> np.ndarray:
 
 
 def evaluate_adaptively(
-    estimate: Estimate, inside: np.ndarray, window: tuple[int, int, int, int], single: np.ndarray
+    estimate: Estimate,
+    inside: np.ndarray,
+    window: tuple[int, int, int, int],
+    single: np.ndarray,
+    masking: np.ndarray | None = None,
 ) -> None:
     """Predict where neighbouring pixels disagree, and interpolate where they agree.
 
     inside: samples to predict at. window: of the P pixels. single: (C, P), single scattering of the sun.
+    masking: (P,), other light beside which errors are tolerated as beside its own, or None.
     """
     # What is interpolated is the mean over the opacity, which is known in every pixel.
     opacity, guide = estimate.opacity()
@@ -137,6 +145,10 @@ def evaluate_adaptively(
         # Errors are those of the mean over all three channels.
         smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
         for part, weight in zip(estimate.smooth_parts(mean), shown):
+            tolerated = difference * np.sqrt(estimate.samples.rays / estimate.context.settings.depth_samples)
+            if masking is not None:
+                own = single.mean(axis=0) + part * weight
+                tolerated = tolerated * np.minimum(1.0 + masking / np.maximum(own, 1e-30), MOST_MASKED)
             agreeing, part_error = interpolable(
                 squares,
                 part,
@@ -144,7 +156,7 @@ def evaluate_adaptively(
                 weight,
                 single.mean(axis=0),
                 guide,
-                difference * np.sqrt(estimate.samples.rays / estimate.context.settings.depth_samples),
+                tolerated,
             )
             smooth, centre_error = smooth & agreeing, np.maximum(centre_error, part_error)
         if split.any():

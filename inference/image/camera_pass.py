@@ -280,10 +280,10 @@ def add_lamps(
 
     pixel, share: (R,), as in TileRays.
     """
-    linked = scene.plan.linking(scene.plan.lamps)
+    linked = scene.plan.linking([scene.plan.lamps[cell[0]] for cell in scene.lamp_cells])
     for c in channel_pass.channels.indices:
         albedo = np.array([last_albedo(*pair)[c] for pair in scene.plan.volumes])
-        light = linked * albedo[:, None] * [lamp.power[c] for lamp in scene.plan.lamps]
+        light = linked * albedo[:, None] * [lamp.power[c] for lamp in scene.marched_lamps]
         of_lamps = single[..., channel_pass.scattering_place(c)]
         add_at(framebuffer.single[:, c], pixel, np.einsum("rvk,vk,r->r", of_lamps, light, share))
 

@@ -12,6 +12,7 @@ from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..marching.extended_lights import ExtendedLights
+from ..marching.joined_lamps import PredictedLamp, predicted_lamps
 from ..marching.lamp_detail import detail_of_rays
 from ..marching.lamp_in_media import LampInMedia
 from ..marching.marcher import Marcher
@@ -98,6 +99,21 @@ class PreparedScene:
     def lamp_radius(self) -> float:
         """Distance from lamps within which the coarse transport of any group does not tell their light apart."""
         return max((group.predictor.lamp_radius for group in self.groups if group is not None), default=0.0)
+
+    @functools.cached_property
+    def lamp_cells(self) -> list[list[int]]:
+        """Lamps, by number, that rays gather together: in one cluster of every group, and shadowed or not alike."""
+        cells: dict[Hashable, list[int]] = {}
+        for k, lamp in enumerate(self.lamps):
+            of_groups = [[k in cluster for cluster in clusters].index(True) for clusters in self.plan.lamp_clusters]
+            cells.setdefault((lamp.shadow_maps is None, *of_groups), []).append(k)
+        return list(cells.values())
+
+    @functools.cached_property
+    def marched_lamps(self) -> list[PredictedLamp]:
+        """The lamps of each cell, as one lamp."""
+        middle = 0.5 * (self.corners.min(axis=0) + self.corners.max(axis=0))
+        return predicted_lamps(self.lamps, self.lamp_cells, middle)
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

@@ -52,10 +52,10 @@ def prepare_lamp_march(
                 with context.progress.stage("transport", len(clusters)):
                     lights = [light for light, _ in placed_lamps(context, scene, channels, g)]
                     joined = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-                fluence[g] = joined and joined.of_parts([of_part[k] for k in range(len(scene.lamps))])
+                fluence[g] = joined and joined.of_parts([of_part[cell[0]] for cell in scene.lamp_cells])
     predicted = any(scattered is not None for scattered in fluence)
     means = _mean_depths(context, scene, channels, pixels)
-    return LampMarch(scene.lamps, fluence if predicted else None, scene.lamp_radius, means)
+    return LampMarch(scene.marched_lamps, fluence if predicted else None, scene.lamp_radius, means)
 
 
 def lamps_nearby(scene: PreparedScene, channels: Channels) -> list[LampInMedia]:
@@ -78,17 +78,17 @@ def _mean_depths(
     """Of each lamp, where that is worth it. Raises Cancelled."""
     media = scene.media(channels, lit=False)
     if len(media) != 1 or "soft_shadows" not in scene.plan.optimizations:
-        return [None] * len(scene.lamps)
+        return [None] * len(scene.marched_lamps)
     means: list[MeanLampDepth | None] = []
     with context.report.stage("shadows"):
-        for lamp in scene.lamps:
+        for lamp in scene.marched_lamps:
             wanted = _worthwhile(lamp, media[0], pixels)
             means.append(context.cache.mean_lamp_depth(lamp, media[0], context.tasks) if wanted else None)
             context.report.count("lamps whose shadows are averaged at voxels", wanted)
     return means
 
 
-def _worthwhile(lamp: LampInMedia, medium: BoundMedium, pixels: int) -> bool:
+def _worthwhile(lamp: PredictedLamp, medium: BoundMedium, pixels: int) -> bool:
     """Whether depths at voxels serve a lamp in a medium alone, and cost less than looking them up on camera rays."""
     grid = medium.grid
     if len(lamp.emitters) == 1 or lamp.shadow_maps is not None or not isinstance(grid.density, DenseGrid):
@@ -151,8 +151,8 @@ def means_around_lamps(
     within a pixel end where its own does, if that is before the volumes do. Raises Cancelled.
     """
     columns, rows = pixels
-    beside = np.full((len(columns), len(scene.lamps)), np.inf)
-    for k, lamp in enumerate(scene.lamps):
+    beside = np.full((len(columns), len(scene.marched_lamps)), np.inf)
+    for k, lamp in enumerate(scene.marched_lamps):
         away = lamp.centre - batch.origins
         along = (away * batch.directions).sum(axis=1)
         width = np.maximum(pixel_size(camera, np.maximum(along, 0.0)), 1e-30)

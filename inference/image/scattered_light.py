@@ -16,6 +16,8 @@ from .framebuffer import add_at
 from .predicted_error import SparseDeviation
 from .sources import Source
 
+# Part of the light of earlier sources that masks what the interpolation of a source misses.
+MASKING = 0.3
 # Samples between two questions whether to stop: a fiftieth of a second.
 SAMPLES_PER_CHECK = 1 << 17
 
@@ -39,7 +41,7 @@ def add_scattered_light(
             if source.adaptive:
                 tile.report.count("network points wanted", len(inside))
             if source.adaptive and "shared_pixels" in context.settings.optimizations:
-                evaluate_adaptively(estimate, inside, tile.camera.window, _single(source, tile))
+                evaluate_adaptively(estimate, inside, tile.camera.window, _single(source, tile), _masking(source, tile))
             else:
                 estimate.evaluate(inside)
             for row, radiance in zip(source.rows, estimate.radiance):
@@ -59,6 +61,13 @@ def _single(source: Source, tile: Tile) -> np.ndarray:
         return np.zeros((1, len(tile.framebuffer.alpha)))
     channels = sorted(c for row in source.rows for c in row.channels)
     return tile.framebuffer.single[:, channels].T / source.lights
+
+
+def _masking(source: Source, tile: Tile) -> np.ndarray | None:
+    """Light (P,), mean of its channels, that masks errors of a source; None where it is judged by its own."""
+    if not source.masked:
+        return None
+    return MASKING * tile.framebuffer.multiple[:, sorted(c for row in source.rows for c in row.channels)].mean(axis=1)
 
 
 class TileEstimate:

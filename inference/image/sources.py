@@ -64,7 +64,8 @@ class Source:
     its light. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest edge of the
     group's voxels. lights: how many suns and lamps share the single scattering that tells where its light varies; 0
     where that does not tell. adaptive: whether pixels that agree with their neighbours interpolate it.
-    needs_detail: whether its light varies along rays more than nodes of the depth samples tell.
+    needs_detail: whether its light varies along rays more than nodes of the depth samples tell. masked: whether the
+    light of earlier sources hides its errors.
     """
 
     groups: Sequence[int]
@@ -77,6 +78,7 @@ class Source:
     lights: int = 0
     adaptive: bool = True
     needs_detail: bool = False
+    masked: bool = False
 
     @cached_property
     def albedos(self) -> np.ndarray:
@@ -177,18 +179,24 @@ class AskedGroup:
                     turn=EquivalentDirections(self.camera, predicted.sun, anisotropy, cancel),
                 )
 
-    def lamps(self) -> Iterator[Source]:
-        """Of all lamps, those that are predicted as one together."""
+    def lamps(self) -> list[Source]:
+        """Of all lamps, those that are predicted as one together: the brightest first, which mask errors of others."""
         scene, clusters = self.scene, self.scene.plan.lamp_clusters[self.number]
+        middle, bright = self.group.predictor.cube.centre[None], []
         for cluster, (light, albedos) in zip(clusters, placed_lamps(self.context, scene, self.channels, self.number)):
             if scene.plan.lights_group(scene.plan.lamps[cluster[0]], self.number):
-                yield self._predicted(
+                cells = {n: cell for n, cell in enumerate(scene.lamp_cells) if cell[0] in cluster}
+                parts = [[cluster.index(k) for k in cell] for cell in cells.values()]
+                source = self._predicted(
                     light,
                     albedos,
                     strength=light.lamp.power,
-                    features=functools.partial(features_of_lamp, light.lamp, cluster),
+                    features=functools.partial(features_of_lamp, light.lamp, list(cells), parts),
                     turn=lambda directions, image: directions,
                 )
+                bright.append((float(light.irradiance(middle)[0] * light.lamp.power.mean()), source))
+        bright.sort(key=lambda pair: -pair[0])
+        return [replace(source, masked=True) for _, source in bright]
 
     def _predicted(
         self,
@@ -275,11 +283,16 @@ def features_of_sun(sun: PredictedSun, points: LitPoints) -> np.ndarray | None:
     return None if gathered is None else gathered.mean(points.places, points.group, sun.parts, sun.shares)
 
 
-def features_of_lamp(lamp: PredictedLamp, cluster: Sequence[int], points: LitPoints) -> np.ndarray | None:
-    """As `features_of_sun`, of a cluster of lamps."""
-    shares = lamp.shares(points.positions) if len(cluster) > 1 else np.ones(1)
+def features_of_lamp(
+    lamp: PredictedLamp, cells: Sequence[int], parts: Sequence[Sequence[int]], points: LitPoints
+) -> np.ndarray | None:
+    """As `features_of_sun`, of a cluster of lamps in some cells, by number; parts: which of them are in each cell."""
+    shares = np.ones((1, len(parts)))
+    if len(parts) > 1:
+        of_lamps = lamp.shares(points.positions)
+        shares = np.stack([of_lamps[:, part].sum(axis=1) for part in parts], axis=1)
     gathered = points.lamps
-    return None if gathered is None else gathered.mean(points.places, points.group, cluster, shares)
+    return None if gathered is None else gathered.mean(points.places, points.group, cells, shares)
 
 
 def rows_of(

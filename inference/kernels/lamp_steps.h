@@ -313,6 +313,16 @@ static double distance_of(const Lamp *lamp, const Ray *ray, const Work *work) {
     return sqrt(square);
 }
 
+/* Whether the emitters of a lamp are parts of one sphere that shines all around. */
+static inline int of_one_sphere(const Lamp *lamp) {
+    for (int64_t e = 0; e < lamp->emitters; e++) {
+        const Emitter *part = lamp->parts + e;
+        if (part->flat || part->cone || memcmp(part->centre, lamp->parts->centre, sizeof part->centre)) return 0;
+        if (part->radius != lamp->parts->radius || part->intensity != lamp->parts->intensity) return 0;
+    }
+    return 1;
+}
+
 /* Fluence of a lamp in ray features: no less than a fraction of the fluence if it faced the point. */
 static inline Floats reference_of(Floats fluence, Floats most) {
     most *= LEAST_FACING;
@@ -421,7 +431,7 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
             if (!mean) clear_nodes(scene, work);
         } else {
             /* All emitters of a sphere give the same. */
-            int alike = !lamp->parts[e].flat && !lamp->parts[e].cone;
+            int alike = of_one_sphere(lamp);
             float times = alike ? (float)lamp->emitters : 1.0f;
             if (!alike || e == 0) look_up_fluence(lamp->parts + e, ray, times, count > 0, work);
             add_emitter(scene, lamp->parts + e, ray, work, single, stride);

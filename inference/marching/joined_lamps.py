@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Several distant lamps whose multiple scattering is predicted as that of a single lamp."""
+"""Several distant lamps whose light is gathered, and predicted, as that of a single lamp of many parts."""
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from ..grids.bound_medium import BoundMedium
+from ..grids.lamp_optical_depth import LampOpticalDepth
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..scene.emitters import Emitter
 from .lamp_in_media import LampInMedia
@@ -33,6 +35,38 @@ class JoinedLamps:
         """Power (n,) of each lamp over the sum."""
         powers = np.array([lamp.lamp.power.sum() for lamp in self.lamps])
         return powers / powers.sum() if powers.any() else np.full(len(powers), 1.0 / len(powers))
+
+    @cached_property
+    def emitters(self) -> list[Emitter]:
+        """As of LampInMedia: those of all of them."""
+        return [
+            emitter.dimmed(float(power)) for lamp, power in zip(self.lamps, self.powers) for emitter in lamp.emitters
+        ]
+
+    @property
+    def depths(self) -> list[list[LampOpticalDepth]]:
+        """As of LampInMedia."""
+        return [depths for lamp in self.lamps for depths in lamp.depths]
+
+    @property
+    def shadow_maps(self) -> list[LampShadowMap] | None:
+        """As of LampInMedia; surfaces shadow the volumes from all of the lamps or from none."""
+        shadow_maps = [shadow_map for lamp in self.lamps for shadow_map in lamp.shadow_maps or []]
+        return shadow_maps or None
+
+    @cached_property
+    def reach(self) -> float:
+        """As of LampInMedia, around the centre."""
+        away = [np.linalg.norm(emitter.position - self.centre) + emitter.extent for emitter in self.emitters]
+        return float(max(away))
+
+    def smooth(self, media: Sequence[BoundMedium]) -> float:
+        """As of LampInMedia."""
+        return min(lamp.smooth(media) for lamp in self.lamps)
+
+    def within(self, volumes: Sequence[int]) -> "JoinedLamps":
+        """As of LampInMedia."""
+        return replace(self, lamps=[lamp.within(volumes) for lamp in self.lamps])
 
     @cached_property
     def coarse(self) -> list[Emitter]:

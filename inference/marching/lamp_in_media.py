@@ -3,7 +3,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -60,6 +60,10 @@ class LampInMedia:
     def power(self) -> np.ndarray:
         """(3,), W."""
         return self.lamp.power
+
+    def within(self, volumes: Sequence[int]) -> "LampInMedia":
+        """The lamp with some of the volumes, by number, between it and points."""
+        return replace(self, depths=[[depths[v] for v in volumes] for depths in self.depths])
 
     def shares(self, points: np.ndarray) -> np.ndarray:
         """Fraction of the light at points (N, 3) that this lamp gives: float32 (N, 1), 1."""

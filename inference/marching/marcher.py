@@ -27,7 +27,7 @@ from ..source_terms.described_lamps import describe_emitter, describe_shadow_map
 from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
-from .lamp_in_media import LampInMedia
+from .joined_lamps import PredictedLamp
 from .mean_lamp_depth import MeanLampDepth
 from .ray_features import COLUMNS, MAX_TAU_AHEAD, MAX_TAU_SUN, SCALES, RayFeatures
 from .ray_march import (
@@ -286,7 +286,7 @@ def _copied(features: np.ndarray | None, count: int) -> RayFeatures | None:
     return None if features is None else RayFeatures(features[:count].copy())
 
 
-def _lamp(lamp: LampInMedia, media: Sequence[BoundMedium], mean: MeanLampDepth | None) -> structures.Shared:
+def _lamp(lamp: PredictedLamp, media: Sequence[BoundMedium], mean: MeanLampDepth | None) -> structures.Shared:
     columns = [depth.described(medium.sigma_t) for depths in lamp.depths for depth, medium in zip(depths, media)]
     pointers = (c_void_p * len(columns))(*map(addressof, columns))
     shadow_maps = [describe_shadow_map(shadow_map) for shadow_map in lamp.shadow_maps or []]

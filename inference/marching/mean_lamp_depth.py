@@ -14,7 +14,7 @@ from ..grids.dense_grid import DenseGrid
 from ..numerics.small_matmul import inverse
 from ..runtime.tasks import AnyTasks
 from ..source_terms.lamp_cells import LampCells, light_in_cells
-from .lamp_in_media import LampInMedia
+from .joined_lamps import PredictedLamp
 
 # Distance from a lamp, over its reach, from which on its mean depth is used.
 APART = 1.8
@@ -37,7 +37,7 @@ class MeanLampDepth:
     start: float
 
 
-def mean_lamp_depth(lamp: LampInMedia, medium: BoundMedium, tasks: AnyTasks) -> MeanLampDepth:
+def mean_lamp_depth(lamp: PredictedLamp, medium: BoundMedium, tasks: AnyTasks) -> MeanLampDepth:
     """Depths of a lamp's light in a medium alone, whose density is a DenseGrid. Raises Cancelled."""
     density = medium.grid.density
     assert isinstance(density, DenseGrid)
@@ -60,7 +60,7 @@ def mean_lamp_depth(lamp: LampInMedia, medium: BoundMedium, tasks: AnyTasks) -> 
     return MeanLampDepth(DenseGrid(depths.reshape(shape)), APART * lamp.reach)
 
 
-def _depths(lamp: LampInMedia, medium: BoundMedium, numbers: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _depths(lamp: PredictedLamp, medium: BoundMedium, numbers: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Mean depth float32 (N,) of a lamp's light at voxels of a medium.
 
     numbers: int (N,), in a lattice of a shape that has one voxel more than the medium on each side.

@@ -16,7 +16,7 @@ from ..occluders.shadow_map import ShadowMap
 from ..scene.optimizations import ALL
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import Quadrature, gauss_legendre
-from .lamp_in_media import LampInMedia
+from .joined_lamps import PredictedLamp
 from .mean_lamp_depth import MeanLampDepth
 from .ray_features import REACH, RayFeatures
 
@@ -106,7 +106,7 @@ class LampMarch:
     of each lamp's light, or None; only for a single volume that no surface shadows from the lamp.
     """
 
-    lamps: Sequence[LampInMedia]
+    lamps: Sequence[PredictedLamp]
     fluence: list[ScatteredFluence | None] | None
     radius: float
     means: Sequence[MeanLampDepth | None] = ()

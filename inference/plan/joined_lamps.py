@@ -18,7 +18,7 @@ from .lights import linking
 # Distance from a volume's box over its diagonal from which on lamps are joined.
 DISTANT = 0.25
 # Bounds of the squared change of direction, in square radians: mean over all light, and between two that are joined.
-VARIANCE, MOST = 0.02, 0.6
+VARIANCE, MOST = 0.05, 0.6
 # Largest difference of the colours' shares of lamps that are joined.
 COLOUR = 0.02
 

@@ -63,7 +63,7 @@ class GroupRadiance:
     def _of_group(self, lamps: LampMarch, g: int) -> LampMarch:
         """Lamps as the group alone knows them."""
         assert lamps.fluence is not None
-        own = [replace(lamp, depths=[[each[v] for v in self._members] for each in lamp.depths]) for lamp in lamps.lamps]
+        own = [lamp.within(self._members) for lamp in lamps.lamps]
         return replace(lamps, lamps=own, fluence=[lamps.fluence[g]])
 
     def _media(self, lit: bool) -> list[BoundMedium]:
@@ -155,7 +155,7 @@ class GroupRadiance:
             # Where a ray meets no density, nothing lies ahead.
             suns, lamps = (
                 np.zeros((count, 1, lights, COLUMNS), np.float32)
-                for lights in (len(self._scene.plan.suns), len(self._scene.lamps))
+                for lights in (len(self._scene.plan.suns), len(self._scene.marched_lamps))
             )
 
             def keep(first: int, segment: RaySegment) -> None:
