@@ -14,7 +14,7 @@ from ..world.picture import WorldSource
 from .source import VolumeSource
 
 if TYPE_CHECKING:
-    from .reader import VolumeReader
+    from .reader import VelocitySource, VolumeReader
 
 
 class VolumeLoading(Worker):
@@ -23,7 +23,9 @@ class VolumeLoading(Worker):
     message: the current step.
     """
 
-    def __init__(self, reader: "VolumeReader", sources: "Sequence[VolumeSource | WorldSource]") -> None:
+    def __init__(
+        self, reader: "VolumeReader", sources: "Sequence[VolumeSource | VelocitySource | WorldSource]"
+    ) -> None:
         self.reader, self.sources = reader, sources
         self._process: subprocess.Popen | None = None
         self.message = sources[0].message if sources else ""

@@ -127,7 +127,7 @@ class FileSource(VolumeSource):
             material.refuse(
                 f"it emits light where its grids are 0, and the box around them has more than {MAX_VOXELS} voxels"
             )
-        grids = {name: _placed(grid, name, common) for name, grid in common.grids.items()}
+        grids = {name: placed(grid, name, common) for name, grid in common.grids.items()}
         grids.update({name: np.zeros(shape, np.float32) for name in probe.names if name not in grids})
         filled = None
         # A shader that emits where the grids are 0 fills Cycles' boxes.
@@ -210,8 +210,8 @@ def is_refined(material: VolumeMaterial, probe: Probe, voxels: int, is_negative:
     return probe.placed or not is_linear(material, probe) or (is_negative and BY_LEAF)
 
 
-def _placed(values: np.ndarray | SparseGrid, name: str, common: CommonVoxels) -> np.ndarray:
-    """A grid as an array of its box's shape."""
+def placed(values: np.ndarray | SparseGrid, name: str, common: CommonVoxels) -> np.ndarray:
+    """A grid, by name, as an array of its box's shape."""
     background, offset = common.backgrounds[name], common.offsets[name]
     if isinstance(values, SparseGrid):
         values = values.with_values(values.values - np.float32(background)).dense() + np.float32(background)
