@@ -155,17 +155,10 @@ def test_a_camera_that_a_marker_binds_at_the_frame_is_the_one_that_moves(addon, 
 
 
 def add_velocity(scene, folder, values, edge=1.2, parts=False):
-    """Give the cloud's file velocities (3, n, n, n) over a centred cube: a grid of vectors, or three grids."""
-    openvdb, cloud = make.openvdb(), scene.objects["Cloud"].data
-    density = openvdb.read(cloud.filepath, "density")
-    moved = np.moveaxis(values, 0, -1)
-    grids = [openvdb.FloatGrid() for _ in range(3)] if parts else [openvdb.Vec3SGrid()]
-    for axis, grid in enumerate(grids):
-        grid.copyFromArray(np.ascontiguousarray(moved[..., axis] if parts else moved, np.float32))
-        grid.name = "velocity" + (".x", ".y", ".z")[axis] if parts else "velocity"
-        grid.transform = openvdb.createLinearTransform(make.centred(values.shape[1], edge).T.tolist())
-    cloud.filepath = str(folder / f"flow{len(list(folder.iterdir()))}.vdb")
-    openvdb.write(cloud.filepath, [density, *grids])
+    """Give the cloud's file velocities (3, n, n, n) over a centred cube."""
+    cloud = scene.objects["Cloud"].data
+    frame = make.centred(values.shape[1], edge)
+    cloud.filepath = make.with_velocity(folder, cloud.filepath, values, frame, parts)
 
 
 def whirl(cells=12, edge=1.4):
