@@ -16,6 +16,9 @@ from ..vdb.worker import COMPONENTS
 from .common_voxels import CommonVoxels, common_voxels
 from .source import placed
 
+# A grid of this name is one wherever no other is chosen.
+STANDARD = "velocity"
+
 #: Components of a velocity, on voxels of their own, and the matrix (4, 4) from their index to object space.
 Components = tuple[tuple[np.ndarray | SparseGrid, ...], np.ndarray]
 
@@ -99,7 +102,8 @@ def velocity_names(data: Any, grids: Sequence[Any]) -> tuple[str, ...]:
     grids: names of its grids, and of those of them that hold vectors.
     """
     names, vectors = grids
-    if data.velocity_grid in vectors:
-        return tuple(data.velocity_grid + component for component in COMPONENTS)
+    for name in (data.velocity_grid, STANDARD):
+        if name in vectors:
+            return tuple(name + component for component in COMPONENTS)
     parts = data.velocity_x_grid, data.velocity_y_grid, data.velocity_z_grid
     return parts if all(name in names for name in parts) else ()
