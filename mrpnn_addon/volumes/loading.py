@@ -12,9 +12,10 @@ from ...inference.scene import Cancelled
 from ..runtime.background import Worker
 from ..world.picture import WorldSource
 from .source import VolumeSource
+from .velocity import VelocitySource
 
 if TYPE_CHECKING:
-    from .reader import VelocitySource, VolumeReader
+    from .reader import VolumeReader
 
 
 class VolumeLoading(Worker):

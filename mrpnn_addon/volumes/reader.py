@@ -33,14 +33,11 @@ from ..world.lighting import wanted_world
 from ..world.picture import WorldSource
 from .fluid_domain import FluidSource, checksum, gas_domain, is_empty, probe_grids, read_grids, velocities
 from .source import FileSource, MeshSource, VolumeSource
-from .velocity import FileVelocity, FluidVelocity, velocity_names
+from .velocity import FileVelocity, FluidVelocity, VelocitySource, velocity_names
 from .voxel_points import Probe
 
 # Types of grids that Cycles reads as 0.
 NOT_NUMBERS = {"MASK", "POINTS", "STRING", "UNKNOWN"}
-
-
-VelocitySource = FileVelocity | FluidVelocity
 
 
 class EmptyVolume(Exception):
@@ -217,7 +214,7 @@ def _velocity_source(shown: VisibleObject, key: tuple) -> VelocitySource | None:
     if not names:
         return None
     path, folder = _file(shown, where)
-    source = FileVelocity(key, where, path, shown.name, names)
+    source = FileVelocity(key, where, path, shown.name, names, shown.data.is_sequence and folder is None)
     _keep(folder, source)
     return source
 

@@ -2,7 +2,7 @@
 """Volumes found in a scene, to be read and shaded on any thread without calling bpy."""
 
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -105,6 +105,11 @@ class FileSource(VolumeSource):
     owner: str
     probe: Probe
     is_sequence: bool = False
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the grids that it reads."""
+        return self.probe.names
 
     def _read(
         self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]

@@ -28,7 +28,7 @@ class FileVelocity:
     """Velocities in an OpenVDB file.
 
     key: differs where the content may differ. where: prefix of messages. path: of the file. owner: the object's name.
-    names: of the grids of the three components, as of `read_density_grid`.
+    names: of the grids of the three components, as of `read_density_grid`. is_sequence: as of FileSource.
     """
 
     key: tuple
@@ -36,6 +36,7 @@ class FileVelocity:
     path: str
     owner: str
     names: Sequence[str]
+    is_sequence: bool = False
 
     message: ClassVar[str] = "reading volumes"
 
@@ -94,6 +95,9 @@ class FluidVelocity:
         texture_from_index = np.diag([*(1.0 / shape), 1.0])
         texture_from_index[:3, 3] = 0.5 / shape
         return self.components, self.object_from_texture @ texture_from_index
+
+
+VelocitySource = FileVelocity | FluidVelocity
 
 
 def velocity_names(data: Any, grids: Sequence[Any]) -> tuple[str, ...]:
