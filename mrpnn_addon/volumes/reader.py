@@ -103,13 +103,9 @@ class VolumeReader:
         scale, per_second = _velocity_scale(shown)
         if not scale:
             return None
-        key = _velocity_key(shown)
-        if key not in self.known:
-            source = _velocity_source(shown, key)
-            self.known[key] = None
-            if source is not None:
-                self.load(source)
-        known = self.known[key]
+        for source in self._source_of_velocity(shown):
+            self.load(source)
+        known = self.known[_velocity_key(shown)]
         if isinstance(known, SceneError):
             raise type(known)(*known.args)
         if known is None:
@@ -131,8 +127,8 @@ class VolumeReader:
         for shown in visible_objects(depsgraph, space):
             if self._is_wanted(shown, depsgraph.view_layer):
                 found.update((source.key, source) for source in self._source(shown))
-                if blurred and carries(shown) and (source := _velocity_source(shown, _velocity_key(shown))) is not None:
-                    found[source.key] = source
+                if blurred and carries(shown):
+                    found.update((source.key, source) for source in self._source_of_velocity(shown))
         return [*found.values(), *wanted_world(depsgraph)]
 
     def load(self, source: VolumeSource | VelocitySource | WorldSource, *arguments: Any) -> None:
@@ -161,6 +157,21 @@ class VolumeReader:
         except SceneError as problem:
             self.known[_key(shown, False)] = type(problem)(*problem.args)
             return []
+
+    def _source_of_velocity(self, shown: VisibleObject) -> list[VelocitySource]:
+        """The source of a volume's velocities, unless it is read; nothing where it has none, which is recorded."""
+        key, source = _velocity_key(shown), None
+        if key in self.known:
+            return []
+        try:
+            source = _velocity_source(shown, key)
+        except SceneError as problem:
+            self.known[key] = type(problem)(*problem.args)
+            return []
+        if source is None:
+            self.known[key] = None
+            return []
+        return [source]
 
     def _known_key(self, shown: VisibleObject) -> tuple | None:
         return next((key for key in (_key(shown, False), _key(shown, True)) if key in self.known), None)
