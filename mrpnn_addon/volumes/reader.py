@@ -4,7 +4,6 @@
 import shutil
 import tempfile
 import weakref
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -206,9 +205,7 @@ def _velocity_scale(shown: VisibleObject) -> tuple[float, bool]:
 def _velocity_key(shown: VisibleObject) -> tuple:
     """Identifies a volume's velocities; instances share them."""
     domain = gas_domain(shown.object)
-    content = (
-        zlib.crc32(b"".join(part.tobytes() for part in velocities(domain))) if domain else shown.data.velocity_grid
-    )
+    content = checksum(domain) if domain else shown.data.velocity_grid
     return "velocity", shown.data.name_full, shown.data.as_pointer(), content
 
 
