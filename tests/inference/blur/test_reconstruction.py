@@ -20,7 +20,6 @@ def joined(image, inverse):
             xx, xy, yy = np.moveaxis(inverse[here] + inverse[there], -1, 0)
             square = across**2 * xx + 2 * across * down * xy + down**2 * yy
             weight = np.where(square < 16.0, (1.0 - np.minimum(square, 16.0) / 16.0) ** 8, 0.0)[..., None]
-            weight = weight * (1.0 - abs(across) / (REACH + 1)) * (1.0 - abs(down) / (REACH + 1))
             total[here] += weight * image[there]
             weights[here] += weight
     return total / weights
