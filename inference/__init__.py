@@ -30,6 +30,7 @@ from .scene import (
     SpotLight,
     Sun,
     Surface,
+    Velocity,
     Volume,
     soft_sun,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "SpotLight",
     "Sun",
     "Surface",
+    "Velocity",
     "Volume",
     "available_models",
     "bake",

@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from .blur.eyes import find_eyes
+from .blur.eyes import Eyes, find_eyes
 from .blur.shutter import moved_back
-from .grids.bound_medium import scattering_channels
+from .grids.bound_medium import Flow, Movement, scattering_channels
+from .grids.dense_grid import DenseGrid
 from .grids.grid import Grid
 from .grids.sun_optical_depth import SunOpticalDepth
 from .image.camera_pass import add_sharpness, march_tile
@@ -47,6 +48,7 @@ from .scene.camera import Camera
 from .scene.description import Medium, Surface, Volume
 from .scene.light import Families, Light
 from .scene.settings import Settings
+from .scene.sparse_grid import SparseGrid
 
 
 def render(
@@ -273,7 +275,7 @@ def prepare_scene(
     report.warnings += plan.linking_warnings()
     sun_depths, lamps = _shadows(context, plan, grids, surfaces)
     extended = [sun for sun in plan.suns if sun.spread is not None]
-    motion = [] if eyes is None else [moved_back(volume.motion, eyes.times) for volume, _ in plan.volumes]
+    motion = [] if eyes is None else _movements([volume for volume, _ in plan.volumes], eyes)
     phases = [medium.scattered for _, medium in plan.volumes]
     see_ahead = len(covering) == len(surfaces) and (ends or not surfaces)
     network = _load_network(context, plan)
@@ -305,6 +307,22 @@ def prepare_scene(
         lamps=lamps,
     )
     return _with_light_of_surfaces(context, scene, surfaces)
+
+
+def _movements(volumes: Sequence[Volume], eyes: Eyes) -> list[Movement | None]:
+    """How volumes move in front of eyes; None for those that stand still."""
+    found: list[Movement | None] = []
+    known: dict[int, Sequence[DenseGrid | SparseGrid]] = {}
+    for volume in volumes:
+        velocity, flow = volume.velocity, None
+        if velocity is not None:
+            # Instances share them.
+            key = id(velocity.components[0])
+            known[key] = known.get(key) or Flow.grids_of(velocity)
+            flow = Flow(velocity, known[key], np.interp(eyes.times, [0.0, 1.0], velocity.times))
+        still = volume.motion is None and flow is None
+        found.append(None if still else Movement(moved_back(volume.motion, eyes.times), flow))
+    return found
 
 
 def _joined(context: RenderContext, scene: SortedScene, camera: Camera) -> SortedScene:

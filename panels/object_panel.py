@@ -6,6 +6,7 @@ import bpy
 from ..mrpnn_addon.nodes.material import shows_volume
 from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.status.scene_check import last_check
+from ..mrpnn_addon.volumes.fluid_domain import gas_domain
 from .engine_panel import EnginePanel
 from .text import draw_text
 
@@ -32,4 +33,30 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
                 draw_text(context, column, text, "INFO")
 
 
-classes = (MRPNN_PT_object,)
+class MRPNN_PT_object_motion(EnginePanel, bpy.types.Panel):
+    bl_label = "Motion Blur"
+    bl_context = "object"
+    bl_parent_id = "MRPNN_PT_object"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: "bpy.types.Context") -> bool:
+        return super().poll(context) and hasattr(context.object, "cycles")
+
+    def draw(self, context: "bpy.types.Context") -> None:
+        layout, settings = self.layout, context.object.cycles
+        layout.use_property_split = True
+        layout.active = context.scene.render.use_motion_blur
+        layout.prop(settings, "use_motion_blur", text="Motion Blur")
+        column = layout.column()
+        column.active = settings.use_motion_blur
+        column.prop(settings, "motion_steps", text="Steps")
+        data, domain = context.object.data, gas_domain(context.object)
+        if context.object.type == "VOLUME":
+            for name in ("velocity_grid", "velocity_unit", "velocity_scale"):
+                column.prop(data, name)
+        elif domain:
+            column.prop(domain, "velocity_scale")
+
+
+classes = (MRPNN_PT_object, MRPNN_PT_object_motion)

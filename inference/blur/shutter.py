@@ -34,10 +34,10 @@ def camera_at(camera: Camera, time: float) -> Camera:
     return replace(camera, world_matrix=matrix, fov=2.0 * np.arctan(edge), shutter=None)
 
 
-def moved_back(motion: Motion | None, times: np.ndarray) -> np.ndarray | None:
-    """Places at the frame of places at times (E,) of the shutter, float64 (E, 3, 4); None where nothing moves."""
+def moved_back(motion: Motion | None, times: np.ndarray) -> np.ndarray:
+    """Places at the frame of places at times (E,) of the shutter, float64 (E, 3, 4); the same where nothing moves."""
     if motion is None:
-        return None
+        return np.broadcast_to(np.eye(4)[:3], (len(times), 3, 4))
     matrices = np.array([matrix_at(motion.world_matrices, time) for time in times])
     return np.asarray((motion.world_matrix @ np.linalg.inv(matrices))[:, :3])
 

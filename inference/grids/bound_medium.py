@@ -1,14 +1,112 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A medium bound to its grid and to the extinction of colour channels, for ray marching."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.description import Medium
-from .grid import Grid
+from ..kernels import structures
+from ..kernels.library import call
+from ..numerics.small_matmul import affine_inverse
+from ..scene.description import Medium, Velocity
+from ..scene.sparse_grid import SparseGrid
+from .dense_grid import DenseGrid
+from .described import describe_grid
+from .grid import CORNERS, Grid
 from .sun_optical_depth import SunOpticalDepth
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Velocities that carry what a volume holds, as eyes see it.
+
+    velocity: of the volume. grids: of its components. times: float64 (E,), since the frame, at which each eye sees.
+    """
+
+    velocity: Velocity
+    grids: Sequence[DenseGrid | SparseGrid]
+    times: np.ndarray
+
+    @functools.cached_property
+    def described(self) -> structures.Shared:
+        """As compiled kernels read it."""
+        index_from_world = affine_inverse(self.velocity.world_from_index)
+        components = [describe_grid(grid) for grid in self.grids]
+        described = structures.Flow(
+            components=(structures.Grid * 3)(*components),
+            linear=index_from_world[:3, :3],
+            offset=index_from_world[:3, 3],
+            turn=self.velocity.world_from_velocity,
+        )
+        described.referenced += components
+        return described
+
+    def velocities(self, places: np.ndarray, eyes: np.ndarray) -> np.ndarray:
+        """Velocities float64 (N, 3), world units per unit of time, of what eyes, int (N,), see at places (N, 3)."""
+        found = np.empty((3, len(places)))
+        call(
+            "flow_velocities",
+            flow=self.described,
+            points=len(places),
+            places=np.ascontiguousarray(places.T),
+            times=np.ascontiguousarray(self.times[eyes]),
+            velocities=found,
+        )
+        return found.T
+
+    @staticmethod
+    def grids_of(velocity: Velocity) -> list[DenseGrid | SparseGrid]:
+        """Its components, which instances share."""
+        return [
+            grid.crop((0, 0, 0), grid.shape) if isinstance(grid, SparseGrid) else DenseGrid(grid)
+            for grid in velocity.components
+        ]
+
+    def support(self, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest index (3,) in a volume's grid at which any eye may see what it holds."""
+        # Only where there is velocity does anything come from elsewhere.
+        ends = np.where(CORNERS, np.array([c.shape for c in self.velocity.components]).max(axis=0), -1.0)
+        matrix = self.velocity.world_from_index
+        corners = grid.index(ends @ matrix[:3, :3].T + matrix[:3, 3])
+        turn = grid.linear @ self.velocity.world_from_velocity
+        values = np.array([[min(float(c.min()), 0.0), max(float(c.max()), 0.0)] for c in self.velocity.components])
+        shifts = turn[:, :, None, None] * values[None, :, :, None] * [self.times.min(), self.times.max()]
+        shifts = shifts.reshape(3, 3, 4)
+        (low, high) = grid.box
+        least = low + np.minimum(shifts.min(axis=2), 0.0).sum(axis=1)
+        most = high + np.maximum(shifts.max(axis=2), 0.0).sum(axis=1)
+        return (
+            np.maximum(least, np.minimum(low, corners.min(axis=0))),
+            np.minimum(most, np.maximum(high, corners.max(axis=0))),
+        )
+
+
+@dataclass(frozen=True)
+class Movement:
+    """How a volume moves in front of eyes.
+
+    frames: float64 (E, 3, 4), places at the frame of places at the time at which each eye sees, in the world, of the
+    volume as a whole. flow: what moves in it besides, or None.
+    """
+
+    frames: np.ndarray
+    flow: Flow | None = None
+
+    def frame_of(self, places: np.ndarray, eyes: np.ndarray) -> np.ndarray:
+        """As `at_frame`, of the volume as a whole."""
+        frame = self.frames[eyes]
+        return np.einsum("nij,nj->ni", frame[:, :, :3], places) + frame[:, :, 3]
+
+    def at_frame(self, places: np.ndarray, eyes: np.ndarray) -> np.ndarray:
+        """Places float64 (N, 3) at the frame of what eyes, int (N,), see at places (N, 3)."""
+        moved = self.frame_of(places, eyes)
+        if self.flow is None:
+            return moved
+        # What is carried far out of the volume is seen nowhere.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.nan_to_num(moved - self.flow.times[eyes, None] * self.flow.velocities(moved, eyes))
 
 
 @dataclass(frozen=True)
@@ -16,15 +114,14 @@ class BoundMedium:
     """A volume as rays traverse it in colour channels of equal extinction.
 
     sigma_t: extinction coefficient per unit density and world unit. sun_depths: L optical depths, one per sun.
-    motion: float64 (E, 3, 4), places at the frame of places at the time at which each eye sees, in the world; None for
-    a volume that stands still.
+    motion: in front of eyes; None for a volume that stands still.
     """
 
     grid: Grid
     medium: Medium
     sigma_t: float
     sun_depths: list[SunOpticalDepth]
-    motion: np.ndarray | None = None
+    motion: Movement | None = None
 
     @property
     def linear(self) -> np.ndarray:
@@ -35,6 +132,17 @@ class BoundMedium:
     def offset(self) -> np.ndarray:
         """(3,), translation of continuous indices from world positions."""
         return self.grid.offset
+
+    @functools.cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest index (3,) at which rays may meet what the volume holds."""
+        flow = None if self.motion is None else self.motion.flow
+        return self.grid.box if flow is None else flow.support(self.grid)
+
+    @property
+    def flows(self) -> bool:
+        """Whether velocities carry what the volume holds."""
+        return self.motion is not None and self.motion.flow is not None
 
     @property
     def emits(self) -> bool:

@@ -112,7 +112,10 @@ class Grid:
 
     @functools.cached_property
     def _corners(self) -> np.ndarray:
-        low, high = self.box
+        return self.corners_of(*self.box)
+
+    def corners_of(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """World corners (8, 3) of a box between two indices (3,)."""
         return product(np.where(CORNERS, high, low) - self.offset, self._world_linear.T)
 
     @functools.cached_property

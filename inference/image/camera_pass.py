@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..blur.sharpness import Spreads
+from ..blur.sharpness import NEVER, Spreads
+from ..grids.bound_medium import Movement
 from ..marching.depth_samples import DepthSamples
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
@@ -163,12 +164,15 @@ def add_sharpness(scene: PreparedScene, tile: Tile, samples: DepthSamples) -> No
     """Add to the tile how sharp its pixels are: at depth samples, and where surfaces end rays."""
     assert scene.eyes is not None
     (left, top, *_), window = scene.camera.window, tile.camera.window
-    pixel, distance, still = samples.pixel[samples.ray], samples.distance, samples.weight
+    pixel, distance, still = samples.pixel[samples.ray], samples.distance, samples.weight.copy()
     for v, motion in enumerate(scene.motion):
         if motion is not None and samples.meets([v]):
             share = samples.weight * samples.share([v])
-            _add_sharpness(scene, tile, (pixel, distance, share), motion)
-            still = still - share
+            some = np.flatnonzero(share > 0.0)
+            _add_sharpness(
+                scene, tile, (pixel[some], distance[some], share[some]), motion, samples.velocities(some, motion)
+            )
+            still -= share
     if scene.eye_distances is not None:
         x0, y0, x1, y1 = window
         ends = scene.eye_distances[y0 - top : y1 - top, x0 - left : x1 - left].ravel()
@@ -176,21 +180,30 @@ def add_sharpness(scene: PreparedScene, tile: Tile, samples: DepthSamples) -> No
         pixel = np.concatenate([pixel, hit // scene.eyes.rays])
         distance = np.concatenate([distance, ends[hit]])
         still = np.concatenate([still, np.full(len(hit), 1.0 / scene.eyes.rays)])
-    _add_sharpness(scene, tile, (pixel, distance, still), None)
+    some = np.flatnonzero(still > 0.0)
+    _add_sharpness(scene, tile, (pixel[some], distance[some], still[some]))
 
 
 def _add_sharpness(
-    scene: PreparedScene, tile: Tile, seen: tuple[np.ndarray, np.ndarray, np.ndarray], motion: np.ndarray | None
+    scene: PreparedScene,
+    tile: Tile,
+    seen: tuple[np.ndarray, np.ndarray, np.ndarray],
+    motion: Movement | None = None,
+    velocities: np.ndarray | None = None,
 ) -> None:
-    """Add how sharp is what pixels (N,) see at distances (N,), with weights (N,), that all moves alike."""
-    some = np.flatnonzero(seen[2] > 0.0)
-    pixel, distance, weight = (values[some] for values in seen)
+    """Add how sharp is what pixels (N,) see at distances (N,), with weights (N,), of what one movement moves.
+
+    velocities: (N, 3) in the world, or None.
+    """
+    pixel, distance, weight = seen
     if not len(pixel):
         return
     assert scene.eyes is not None
     window = tile.camera.window
-    spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()), motion)
-    found, image = spreads.sharpness(pixel, distance), tile.framebuffer.sharpness
+    frames = None if motion is None else motion.frames
+    times = NEVER if motion is None or motion.flow is None else motion.flow.times
+    spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()), frames, times)
+    found, image = spreads.sharpness(pixel, distance, velocities), tile.framebuffer.sharpness
     for number, values in enumerate((*(found * weight[:, None]).T, weight)):
         image[:, number] += np.bincount(pixel, values, len(image))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..blur.eyes import Eyes
-from ..grids.bound_medium import BoundMedium
+from ..grids.bound_medium import BoundMedium, Movement
 from ..grids.grid import Grid
 from ..grids.sun_optical_depth import SunOpticalDepth
 from ..marching.extended_lights import ExtendedLights
@@ -84,7 +84,7 @@ class PreparedScene:
     thrown_back: Environment | None = None
     eyes: Eyes | None = None
     eye_distances: np.ndarray | None = None
-    motion: Sequence[np.ndarray | None] = ()
+    motion: Sequence[Movement | None] = ()
 
     @property
     def sharp(self) -> "PreparedScene":

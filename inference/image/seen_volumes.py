@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..blur.eyes import Eyes
+from ..grids.bound_medium import Movement
 from ..grids.grid import Grid
 from ..plan.plan import make_tiles
 from ..plan.resolution import BAND
@@ -23,7 +24,7 @@ SQUARE = 8
 
 
 def shown_pixels(
-    camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None, motion: Sequence[np.ndarray | None] = ()
+    camera: Camera, grids: Sequence[Grid], eyes: Eyes | None = None, motion: Sequence[Movement | None] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of the camera's window that may show a volume, bool (rows, columns), and the windows of each, int (V, 4).
 
@@ -32,8 +33,9 @@ def shown_pixels(
     """
     x0, y0, x1, y1 = camera.window
     shown = np.zeros((y1 - y0, x1 - x0), bool)
-    boxes = np.array([grid.corners() for grid in grids]).reshape(-1, 8, 3)
-    windows = windows_around(camera, boxes) if eyes is None else _windows_around(eyes, boxes, motion)
+    moving = motion or [None] * len(grids)
+    boxes = np.array([_corners(grid, own) for grid, own in zip(grids, moving)]).reshape(-1, 8, 3)
+    windows = windows_around(camera, boxes) if eyes is None else _windows_around(eyes, boxes, moving)
     # The more volumes there are, the smaller each is in the picture.
     detail = max(len(grids), 1) ** (-1.0 / 3.0) * (1.0 if eyes is None else 0.5)
     sizes = (windows[:, 2] - windows[:, 0]) * (windows[:, 3] - windows[:, 1])
@@ -43,10 +45,14 @@ def shown_pixels(
             shown[top:bottom, left:right] = True
             continue
         cells, corners = grids[n].support(detail)
+        own = moving[n]
+        if own is not None and own.flow is not None:
+            # What it holds may be anywhere in its box.
+            cells, corners = np.ones((1, 1, 1), bool), boxes[n].reshape(2, 2, 2, 3)
         around = (
             pixels_around(camera, cells, corners)
             if eyes is None
-            else _around(camera, eyes, cells, _moving(corners, eyes, motion[n] if motion else None))
+            else _around(camera, eyes, cells, _moving(corners, eyes, own))
         )
         rows, columns = np.flatnonzero(around.any(axis=1)), np.flatnonzero(around.any(axis=0))
         windows[n] = 0
@@ -56,18 +62,26 @@ def shown_pixels(
     return shown, windows
 
 
-def _moving(corners: np.ndarray, eyes: Eyes, motion: np.ndarray | None) -> Iterator[np.ndarray]:
+def _corners(grid: Grid, motion: Movement | None) -> np.ndarray:
+    """World corners (8, 3), at the frame, of the box in which rays may meet what a volume holds."""
+    if motion is None or motion.flow is None:
+        return grid.corners()
+    return grid.corners_of(*motion.flow.support(grid))
+
+
+def _moving(corners: np.ndarray, eyes: Eyes, motion: Movement | None) -> Iterator[np.ndarray]:
     """Places (..., 3) at the frame, where each eye sees them."""
     for number in range(len(eyes.cameras)):
         if motion is None:
             yield corners
         else:
-            yield (corners - motion[number, :, 3]) @ np.linalg.inv(motion[number, :, :3]).T
+            frame = motion.frames[number]
+            yield (corners - frame[:, 3]) @ np.linalg.inv(frame[:, :3]).T
 
 
-def _windows_around(eyes: Eyes, corners: np.ndarray, motion: Sequence[np.ndarray | None]) -> np.ndarray:
+def _windows_around(eyes: Eyes, corners: np.ndarray, motion: Sequence[Movement | None]) -> np.ndarray:
     """As `windows_around`, of all eyes together."""
-    moving = [list(_moving(box, eyes, own)) for box, own in zip(corners, motion or [None] * len(corners))]
+    moving = [list(_moving(box, eyes, own)) for box, own in zip(corners, motion)]
     boxes = np.array(moving).reshape(len(corners), len(eyes.cameras), 8, 3).swapaxes(0, 1)
     windows = np.stack([windows_around(eye, seen) for eye, seen in zip(eyes.cameras, boxes)])
     seen = (windows[..., 2:] > windows[..., :2]).all(axis=2, keepdims=True)

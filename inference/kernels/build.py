@@ -36,6 +36,7 @@ X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"
 VARYING = (
     "ahead.c",
     "columns.c",
+    "flow.c",
     "gather.c",
     "lamps.c",
     "march.c",

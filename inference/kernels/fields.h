@@ -277,6 +277,15 @@ typedef struct {
     float *out;                  /* (points) */
 } SunDepths;
 
+/* Velocities of what is seen at points: Flow. */
+typedef struct {
+    Flow flow;
+    int64_t points;
+    const double *places;        /* (3, points), in the world */
+    const double *times;         /* (points), since the frame */
+    double *velocities;          /* (3, points), world units per unit of time */
+} FlowVelocities;
+
 /* Optical depths from points towards a lamp: LampOpticalDepth. */
 typedef struct {
     const LampColumns *columns;
@@ -396,6 +405,7 @@ typedef struct {
     X(fill_lamp_columns, const LampSlices) \
     X(sun_depths, const SunDepths) \
     X(lamp_depths, const LampDepths) \
+    X(flow_velocities, const FlowVelocities) \
     X(lamp_beam, const LampBeam) \
     X(lamp_fluence, const LampFluence) \
     X(scatter_nearby, const NearbyLight) \

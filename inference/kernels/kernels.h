@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 27
+#define MRPNN_INTERFACE 28
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -35,6 +35,13 @@ typedef struct {
     double first[3];         /* position of voxel 0 in the cells, in voxels */
     double scale;            /* cells per voxel */
 } Occupancy;
+
+/* Velocities that carry what a volume holds while the shutter is open: Flow. */
+typedef struct {
+    Grid components[3];
+    double linear[9], offset[3];  /* continuous indices from world positions */
+    double turn[9];          /* velocity in the world from the grids' values */
+} Flow;
 
 /* Optical depth through one grid towards one sun: DenseColumns where table is NULL, SparseColumns otherwise. */
 typedef struct {
@@ -77,6 +84,9 @@ typedef struct {
     Grid scattering[MRPNN_CHANNELS];
     const double *motion;    /* (eyes, 12), rows of (linear, offset): where the volume is at the frame, of where it is
                                 when each eye sees it, in the world; NULL: it stands still */
+    Flow flow;               /* where the volume is at the frame, */
+    const double *times;     /* and (eyes), times since then at which each eye sees it; NULL: nothing flows */
+    double support[6];       /* lowest and highest indices at which rays may meet what it holds */
 } Medium;
 
 /* Optical depths of columns around a lamp, within the pyramid about one direction of an axis: LampOpticalDepth. */
@@ -165,6 +175,7 @@ typedef struct {
 /* Everything that rays need to know of a scene in some colour channels. */
 typedef struct {
     int64_t volumes, suns, groups, channels;
+    int64_t flowing;                 /* whether velocities carry what any of the volumes holds */
     int64_t varying, scattering;     /* how many albedos vary, and colour channels whose scattering is gathered */
     const Medium *media;             /* (volumes) */
     const int64_t *group_starts;     /* (groups + 1) in `group_members` */

@@ -201,8 +201,10 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
     const float *light = fluence->lights[l], scale = fluence->scales ? (float)fluence->scales[l] : 1.0f;
     /* Light is told where the volumes are at the frame; those of a group move with the first. */
     Ray moved;
-    ray = ray_of(scene->media + scene->group_members[scene->group_starts[g]], ray, &moved);
+    int64_t first = scene->group_members[scene->group_starts[g]];
+    ray = ray_of(scene->media + first, ray, &moved);
     Line line = line_in(fluence->linear, fluence->offset, ray);
+    line.shifts = work->lines[first].shifts, line.last = work->lines[first].last;
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {
         double sum = 0.0;
@@ -218,10 +220,10 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
             int64_t block = least_int(s / STEPS + k, work->blocks - 1);
             double size = work->size[block], place = work->place[block];
             /* Of the step on a ray that consists of such steps alone; sizes are powers of two. */
-            double first = place / size;
+            double number_there = place / size;
             for (int n = 0; n < STEPS; n++) {
                 middle[STEPS * k + n] = place + (n + 0.5) * size;
-                number[STEPS * k + n] = (float)(first + n);
+                number[STEPS * k + n] = (float)(number_there + n);
             }
         }
         Floats position[3];

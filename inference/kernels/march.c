@@ -48,6 +48,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     int64_t samples = scene->depth_samples * (scene->most_detail > 1 ? scene->most_detail : 1);
     work->most_blocks = blocks;
     work->stride = steps;
+    /* One more than steps, in whole lanes. */
+    work->shift_stride = 3 * ((max_count + STEPS) / LANES + 2) * LANES;
 #define TAKE(field, type, amount)                       \
     work->field = memory ? (type *)(memory + used) : 0; \
     used += ((int64_t)sizeof(type) * (amount) + 63) / 64 * 64;
@@ -86,6 +88,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
     TAKE(lines, Line, volumes)
+    TAKE(shifts, float, scene->flowing ? volumes * work->shift_stride : 0)
     TAKE(met, int64_t, volumes)
     TAKE(active, int64_t, groups)
     TAKE(is_met, uint8_t, volumes)

@@ -117,6 +117,26 @@ static inline Floats sample_grid(const Grid *grid, const Floats *position) {
     return grid->table ? sample_sparse(grid, position) : sample_dense(grid, position);
 }
 
+/* Velocities that carry what is seen at places to them within times since the frame. Looked up twice, as in Cycles: first
+where it is seen, then where that velocity takes it from. */
+static inline void velocities_at(const Flow *flow, const Doubles *place, Doubles time, Doubles *velocity) {
+    Doubles from[3] = {place[0], place[1], place[2]};
+    for (int lookup = 0; lookup < 2; lookup++) {
+        Floats index[3], values[3];
+        for (int i = 0; i < 3; i++) {
+            const double *row = flow->linear + 3 * i;
+            index[i] = __builtin_convertvector(row[0] * from[0] + row[1] * from[1] + row[2] * from[2] + flow->offset[i], Floats);
+        }
+        for (int i = 0; i < 3; i++) values[i] = sample_grid(flow->components + i, index);
+        for (int i = 0; i < 3; i++) {
+            const double *row = flow->turn + 3 * i;
+            velocity[i] = row[0] * __builtin_convertvector(values[0], Doubles);
+            for (int j = 1; j < 3; j++) velocity[i] += row[j] * __builtin_convertvector(values[j], Doubles);
+            from[i] = place[i] - time * velocity[i];
+        }
+    }
+}
+
 /* Number of the cell around a position. */
 static inline int64_t cell_around(const Occupancy *cells, const float *position) {
     int64_t base = 0;

@@ -32,6 +32,10 @@ typedef float Steps __attribute__((vector_size(4 * STEPS)));
 typedef struct {
     double first[3], slope[3];
     double blocks_per_cell;  /* coarse blocks, by the axis along which cells of density follow each other fastest */
+    const double *linear;    /* of the frame */
+    const float *shifts;     /* (last + 1, 3), in the world at whole places, linear in between; NULL: it is straight */
+    int64_t last;
+    double reach;            /* cells that shifts are long at most along an axis */
 } Line;
 
 /* One ray between two distances. */
@@ -76,6 +80,8 @@ typedef struct {
     float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
     Line *lines;                 /* (volumes) */
+    float *shifts;               /* (volumes, shift_stride), of lines */
+    int64_t shift_stride;
     int64_t *met;                /* (met_count), volumes whose support the ray meets */
     int64_t *active;             /* (active_count), groups with volumes that it meets or that may shadow these */
     int64_t met_count, active_count;
@@ -99,7 +105,8 @@ static inline Line line_in(const double *linear, const double *offset, const Ray
         line.first[i] = start + offset[i];
         line.slope[i] = slope * ray->dt;
     }
-    line.blocks_per_cell = 0.0;
+    line.blocks_per_cell = line.reach = 0.0;
+    line.linear = linear, line.shifts = NULL, line.last = 0;
     return line;
 }
 
@@ -128,17 +135,40 @@ static inline Line line_through(const Medium *medium, const Ray *ray) {
     return line;
 }
 
+/* Where a straight line is. */
 static inline void position_at(const Line *line, double place, float *position) {
     for (int axis = 0; axis < 3; axis++) position[axis] = (float)(place * line->slope[axis] + line->first[axis]);
 }
 
-/* As position_at, for LANES places. */
-static inline void positions_at(const Line *line, const double *places, Floats *position) {
-    Pairs place;
+/* Where LANES places of a line would be if it were straight. */
+static inline void straight_at(const Line *line, const double *places, Floats *position) {
+    Doubles place;
     memcpy(&place, places, sizeof place);
     for (int axis = 0; axis < 3; axis++) {
         position[axis] = __builtin_convertvector(place * line->slope[axis] + line->first[axis], Floats);
     }
+}
+
+/* Shift positions on a line that is not straight. */
+static inline void shift_positions(const Line *line, const double *places, Floats *position) {
+    Floats shift[3];
+    FOR_LANES(n) {
+        double last = (double)line->last, place = places[n] > 0.0 ? places[n] < last ? places[n] : last : 0.0;
+        int64_t node = least_int((int64_t)place, line->last - 1);
+        float fraction = (float)(place - (double)node);
+        const float *from = line->shifts + 3 * node;
+        for (int k = 0; k < 3; k++) shift[k][n] = from[k] + fraction * (from[3 + k] - from[k]);
+    }
+    for (int k = 0; k < 3; k++) {
+        const double *row = line->linear + 3 * k;
+        position[k] += (float)row[0] * shift[0] + (float)row[1] * shift[1] + (float)row[2] * shift[2];
+    }
+}
+
+/* Positions at LANES places of a line. */
+static inline void positions_at(const Line *line, const double *places, Floats *position) {
+    straight_at(line, places, position);
+    if (line->shifts) shift_positions(line, places, position);
 }
 
 /* Positions of the samples of one block: SAMPLES for each of STEPS steps. */
@@ -146,6 +176,11 @@ static inline void positions_in_block(const Line *line, double place, double siz
     const Floats samples = {0.25f, 0.75f, 1.25f, 1.75f, 2.25f, 2.75f, 3.25f, 3.75f};
     for (int axis = 0; axis < 3; axis++) {
         position[axis] = samples * (float)(size * line->slope[axis]) + (float)(place * line->slope[axis] + line->first[axis]);
+    }
+    if (line->shifts) {
+        double places[LANES];
+        FOR_LANES(n) places[n] = place + size * (double)samples[n];
+        shift_positions(line, places, position);
     }
 }
 
@@ -179,10 +214,37 @@ static inline int cell_near(const Scene *scene, const Medium *medium, const Line
     return 1;
 }
 
+/* As cell_near, for a block of a line that is not straight: its samples may be anywhere. */
+static inline int shifted_near(const Medium *medium, const Line *line, double place, double size, Nearby *nearby) {
+    Floats position[3];
+    positions_in_block(line, place, size, position);
+    Longs cells = cells_around(&medium->occupancy, position);
+    float peak = -1.0f;
+    FOR_LANES(n) {
+        float held = medium->occupancy.peaks[cells[n]];
+        if (!medium->occupancy.clearance[cells[n]]) peak = held > peak ? held : peak;
+    }
+    nearby->empty = 0;
+    if (!(peak >= 0.0f)) return 0;
+    nearby->near = 1;
+    nearby->peak += (double)peak * medium->sigma_t;
+    return 1;
+}
+
+/* As shifted_near, for a coarse block whose middle would lie in a cell if the line were straight. */
+static inline int shifted_block_near(const Scene *scene, const Medium *medium, const Line *line, double place,
+                                     int64_t cell, Nearby *nearby) {
+    double blocks = ((double)medium->occupancy.clearance[cell] - line->reach - 1.01) * line->blocks_per_cell;
+    if (!scene->skip_empty || !(blocks >= 1.0 && blocks < FAR_AWAY)) return shifted_near(medium, line, place, 1.0, nearby);
+    if ((int64_t)blocks < nearby->empty) nearby->empty = (int64_t)blocks;
+    return 0;
+}
+
 /* As cell_near, for a block anywhere. */
 static inline int block_near(const Scene *scene, const Medium *medium, const Line *line, double place, double size,
                              Nearby *nearby) {
     float position[3];
+    if (line->shifts) return shifted_near(medium, line, place, size, nearby);
     position_at(line, place + 0.5 * STEPS * size, position);
     return cell_near(scene, medium, line, cell_around(&medium->occupancy, position), nearby);
 }
@@ -226,9 +288,35 @@ static inline void cut_interval(double first, double slope, double low, double h
 static int meets(const Medium *medium, const Line *line, const Ray *ray) {
     double from = 0.0, to = (double)ray->count;
     for (int k = 0; k < 3; k++) {
-        cut_interval(line->first[k], line->slope[k], -1.0, (double)medium->density.shape[k], &from, &to);
+        cut_interval(line->first[k], line->slope[k], medium->support[k], medium->support[3 + k], &from, &to);
     }
     return from <= to;
+}
+
+/* Let a volume's velocities bend a ray's line through it: to where what is seen was at the frame. */
+static void bend(const Medium *medium, const Ray *through, float *shifts, Line *line) {
+    Ray moved;
+    const Ray *ray = ray_of(medium, through, &moved);
+    double time = medium->times[ray->eye];
+    float longest = 0.0f;
+    line->shifts = shifts, line->last = (ray->count + STEPS - 1) / STEPS * STEPS;
+    for (int64_t node = 0; node <= line->last; node += LANES) {
+        Doubles place[3], velocity[3], distance;
+        FOR_LANES(n) distance[n] = ray->near + (double)(node + n) * ray->dt;
+        for (int k = 0; k < 3; k++) place[k] = ray->origin[k] + distance * ray->direction[k];
+        velocities_at(&medium->flow, place, time - (Doubles){0.0}, velocity);
+        Floats shift[3];
+        for (int k = 0; k < 3; k++) {
+            shift[k] = __builtin_convertvector(-time * velocity[k], Floats);
+            FOR_LANES(n) shifts[3 * (node + n) + k] = shift[k][n];
+        }
+        for (int k = 0; k < 3; k++) {
+            const double *row = line->linear + 3 * k;
+            Floats along = (float)row[0] * shift[0] + (float)row[1] * shift[1] + (float)row[2] * shift[2];
+            FOR_LANES(n) longest = fabsf(along[n]) <= longest ? longest : fabsf(along[n]);
+        }
+    }
+    line->reach = (double)longest * medium->occupancy.scale;
 }
 
 /* Whether a volume's support may lie between any point of a ray and a sun: seen along the sun's main axis, on a plane
@@ -257,7 +345,10 @@ static void find_met(const Scene *scene, const Ray *ray, Work *work) {
         const Medium *medium = scene->media + v;
         work->lines[v] = line_through(medium, ray);
         work->is_met[v] = (uint8_t)(all || meets(medium, work->lines + v, ray));
-        work->shades[v] = (uint8_t)all;
+        work->shades[v] = (uint8_t)(all || medium->times);
+        if (medium->times && ray->eye >= 0 && work->is_met[v]) {
+            bend(medium, ray, work->shifts + v * work->shift_stride, work->lines + v);
+        }
         for (int64_t l = 0; l < scene->suns && !work->shades[v]; l++) {
             work->shades[v] = (uint8_t)may_shade(medium, medium->suns + l, work->lines + v, ray);
         }
@@ -355,7 +446,7 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
         FOR_LANES(n) middle[n] = from + STEPS * (n + 0.5);
         for (int64_t m = 0; m < work->met_count; m++) {
             Floats position[3];
-            positions_at(work->lines + work->met[m], middle, position);
+            straight_at(work->lines + work->met[m], middle, position);
             Longs cells = cells_around(&scene->media[work->met[m]].occupancy, position);
             memcpy(work->cells + LANES * m, &cells, sizeof cells);
         }
@@ -366,7 +457,9 @@ static int look_ahead(const Scene *scene, const Ray *ray, double whole, int keep
                 const Medium *medium = scene->media + work->met[m];
                 const Line *line = work->lines + work->met[m];
                 uint8_t *near = work->near + count * work->met_count + m;
-                *near = (uint8_t)cell_near(scene, medium, line, work->cells[LANES * m + n], &nearby);
+                int64_t cell = work->cells[LANES * m + n];
+                *near = (uint8_t)(line->shifts ? shifted_block_near(scene, medium, line, from, cell, &nearby)
+                                               : cell_near(scene, medium, line, cell, &nearby));
                 if (*near && !block_held(medium, line, from)) *near = 2;
                 filled |= *near == 1;
             }

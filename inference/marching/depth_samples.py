@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..grids.bound_medium import Movement
 from ..numerics.quadrature import legendre_integrals, legendre_nodes
 from ..numerics.small_matmul import product
 from .ray_features import RayFeatures
@@ -89,7 +90,7 @@ class DepthSamples:
     groups: Sequence[int] | None = None
     rays: int = 1
     eyes: np.ndarray | None = None
-    motion: Sequence[np.ndarray | None] = ()
+    motion: Sequence[Movement | None] = ()
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -153,11 +154,20 @@ class DepthSamples:
         members = np.broadcast_to(members, len(ray))
         for v, motion in enumerate(self.motion):
             if motion is not None and self.eyes is not None and (some := np.flatnonzero(members == v)).size:
-                frame = motion[self.eyes[ray[some]]]
-                positions[some] = np.einsum("nij,nj->ni", frame[:, :, :3], positions[some]) + frame[:, :, 3]
-                turned = np.einsum("nij,nj->ni", frame[:, :, :3], directions[some])
+                eyes = self.eyes[ray[some]]
+                positions[some] = motion.at_frame(positions[some], eyes)
+                turned = np.einsum("nij,nj->ni", motion.frames[eyes, :, :3], directions[some])
                 directions[some] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         return positions, directions
+
+    def velocities(self, samples: np.ndarray, motion: Movement) -> np.ndarray | None:
+        """Velocities float64 (N, 3) in the world of what is at samples and moves so; None where nothing is carried."""
+        if motion.flow is None or self.eyes is None:
+            return None
+        ray = self.ray[samples]
+        eyes = self.eyes[ray]
+        places = self.origins[ray] + self.distance[samples, None] * self.directions[ray]
+        return motion.flow.velocities(motion.frame_of(places, eyes), eyes)
 
     def share(self, members: Sequence[int]) -> np.ndarray:
         """Fraction float32 (M,) of the extinction at each sample that the member volumes have."""

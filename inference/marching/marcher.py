@@ -230,6 +230,7 @@ class Marcher:
             suns=self._suns,
             groups=len(self._groups),
             channels=len(channels),
+            flowing=any(medium.flows for medium in self._media),
             varying=self._varying,
             scattering=len(options.scattering),
             media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
@@ -336,6 +337,8 @@ def _describe_medium(
     grid = medium.grid
     scattered = [once(describe_grid, grid.scattering_of(channel)) for channel in scattering] if medium.varies else []
     emission = [once(describe_grid, grid.emission[channel]) for channel in channels] if medium.emits else []
+    motion = medium.motion
+    flow = None if motion is None else motion.flow
     density, occupancy = once(describe_grid, grid.density), once(describe_occupancy, grid.occupancy)
     described = structures.Medium(
         density=density,
@@ -343,7 +346,10 @@ def _describe_medium(
         occupancy=occupancy,
         suns=structures.array_of([depth.described(medium.sigma_t) for depth in medium.sun_depths]),
         phase=_phase_table(medium.medium) if lamps else None,
-        motion=None if medium.motion is None else np.ascontiguousarray(medium.motion, np.float64),
+        motion=None if motion is None else np.ascontiguousarray(motion.frames, np.float64),
+        flow=structures.Flow() if flow is None else flow.described,
+        times=None if flow is None else np.ascontiguousarray(flow.times, np.float64),
+        support=np.concatenate(medium.box),
         linear=grid.linear,
         offset=grid.offset,
         sigma_t=medium.sigma_t,

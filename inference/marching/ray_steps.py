@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..grids.bound_medium import BoundMedium
+from ..grids.bound_medium import BoundMedium, Movement
 from ..grids.occupancy import REACH
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import lengths, product
@@ -68,14 +68,16 @@ class RayBatch:
 class Boxes:
     """The supports of V media that attenuate or emit, as rays meet them.
 
-    linear: (V, 3, 3) and offset: (V, 3), continuous indices from world positions. shape: (V, 3), voxels. motion: as of
-    BoundMedium, of each.
+    linear: (V, 3, 3) and offset: (V, 3), continuous indices from world positions. shape: (V, 3), voxels. low, high:
+    (V, 3), indices at which rays may meet what they hold. motion: as of BoundMedium, of each.
     """
 
     linear: np.ndarray
     offset: np.ndarray
     shape: np.ndarray
-    motion: Sequence[np.ndarray | None] = ()
+    low: np.ndarray
+    high: np.ndarray
+    motion: Sequence[Movement | None] = ()
 
     @classmethod
     def of(cls, media: Sequence[BoundMedium]) -> "Boxes":
@@ -85,6 +87,8 @@ class Boxes:
             np.array([medium.linear for medium in media]).reshape(-1, 3, 3),
             np.array([medium.offset for medium in media]).reshape(-1, 3),
             np.array([medium.grid.shape for medium in media], np.float64).reshape(-1, 3),
+            np.array([medium.box[0] for medium in media]).reshape(-1, 3),
+            np.array([medium.box[1] for medium in media]).reshape(-1, 3),
             [medium.motion for medium in media],
         )
 
@@ -93,9 +97,9 @@ class Boxes:
         linear, offset = self.linear.copy(), self.offset.copy()
         for v, motion in enumerate(self.motion):
             if motion is not None:
-                offset[v] += linear[v] @ motion[eye, :, 3]
-                linear[v] = linear[v] @ motion[eye, :, :3]
-        return Boxes(linear, offset, self.shape)
+                offset[v] += linear[v] @ motion.frames[eye, :, 3]
+                linear[v] = linear[v] @ motion.frames[eye, :, :3]
+        return Boxes(linear, offset, self.shape, self.low, self.high)
 
     def crossings(
         self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
@@ -112,7 +116,7 @@ class Boxes:
             frames, shape = self.linear[span].reshape(-1, 3).T, self.shape[span]
             at = product(origins, frames).reshape(-1, len(shape), 3) + self.offset[span]
             slopes = product(directions, frames).reshape(-1, len(shape), 3)
-            enter, leave = box_interval(at, slopes, -1.0, shape)
+            enter, leave = box_interval(at, slopes, self.low[span], self.high[span])
             enter, leave = np.maximum(enter, near[:, None]), np.minimum(leave, far[:, None])
             miss = ~(enter < leave)
             enter[miss], leave[miss] = np.inf, -np.inf

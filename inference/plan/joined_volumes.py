@@ -43,7 +43,8 @@ def find_joins(scene: SortedScene, camera: Camera, settings: Settings) -> list[J
         for v in group if len(group) >= MANY else ():
             volume, medium = scene.volumes[v]
             # Each moves its own way.
-            if attenuates(volume, medium) and not medium.holdout and (volume.motion is None or camera.shutter is None):
+            moves = camera.shutter is not None and (volume.motion is not None or volume.velocity is not None)
+            if attenuates(volume, medium) and not medium.holdout and not moves:
                 alike.setdefault(_kind(*scene.volumes[v]), []).append(v)
         for members in alike.values():
             if len(members) >= MANY:

@@ -3,7 +3,7 @@
 
 from ..runtime.cancellation import Cancelled
 from .camera import Camera, Lens, Shutter
-from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Motion, Sun, Surface, Volume
+from .description import MAX_ANISOTROPY, MAX_IRRADIANCE, Medium, Motion, Sun, Surface, Velocity, Volume
 from .environment import Environment
 from .errors import SceneError
 from .lamps import AreaLight, PointLight, SpotLight
@@ -31,6 +31,7 @@ __all__ = [
     "SpotLight",
     "Sun",
     "Surface",
+    "Velocity",
     "Volume",
     "soft_sun",
 ]

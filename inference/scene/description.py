@@ -69,6 +69,43 @@ class Motion:
         object.__setattr__(self, "world_matrix", affine_matrix(self.world_matrix, "motion: transform"))
 
 
+@dataclass(frozen=True)
+class Velocity:
+    """Velocities that carry what a volume holds while the camera's shutter is open.
+
+    At a time t since the frame, a place shows what the volume has at the frame at that place less t times the velocity.
+    That velocity is looked up in the same way where the velocity at the place itself leads back to, as in Cycles.
+
+    components: x, y and z of the velocity in the volume's own space, on voxels of their own: three arrays float32
+        (nx, ny, nz) or three SparseGrids; trilinear in between, 0 outside.
+    world_from_index: float64 (4, 4), of these voxels, as of Volume.
+    world_from_velocity: float64 (3, 3), turns velocities into world units per unit of time.
+    times: since the frame, at which the shutter opens and closes, in that unit.
+
+    Raises SceneError for grids that are not three or not finite, for singular transforms and for infinite times.
+    """
+
+    components: tuple[Voxels, ...]
+    world_from_index: np.ndarray
+    world_from_velocity: np.ndarray
+    times: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        grids = tuple(
+            grid if isinstance(grid, SparseGrid) else np.ascontiguousarray(grid, np.float32) for grid in self.components
+        )
+        if len(grids) != 3 or any(len(grid.shape) != 3 or 0 in grid.shape for grid in grids):
+            raise SceneError("velocity must be three 3D grids")
+        if not all(np.isfinite(float(grid.min()) + float(grid.max())) for grid in grids):
+            raise SceneError("velocity holds NaN or infinite values")
+        matrix = np.asarray(self.world_from_velocity, np.float64)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or not np.isfinite(self.times).all():
+            raise SceneError("velocity needs a finite 3x3 matrix and finite times")
+        object.__setattr__(self, "components", grids)
+        object.__setattr__(self, "world_from_index", affine_matrix(self.world_from_index, "velocity: transform"))
+        object.__setattr__(self, "world_from_velocity", matrix)
+
+
 @dataclass
 class Volume:
     """A density grid placed in the world.
@@ -82,7 +119,7 @@ class Volume:
         interpolated store the fourth root of their emission.
     scattering: density times albedo of a medium whose albedo varies, interpolated like the density: one grid for all
         colour channels or three, of the density's kind; None for a uniform albedo. Set by `plan.plan.in_range`.
-    motion: in the camera's shutter; None for a volume that stands still.
+    motion: in the camera's shutter; None for a volume that stands still. velocity: of what it holds, or None.
 
     peak: largest density.
 
@@ -98,6 +135,7 @@ class Volume:
     emission_power: int = 1
     scattering: None | tuple[Voxels, ...] = None
     motion: Motion | None = None
+    velocity: Velocity | None = None
     peak: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:

@@ -13,12 +13,11 @@ from ...inference.scene import Camera, SceneError, Shutter
 from ..nodes.material import SURFACES, shows_volume
 from .camera import read_camera
 from .views import view_camera
-from .visibility import VisibleObject, visible_objects
+from .visibility import visible_objects
 
 #: Goes to a frame and a subframe from 0 to 1, and evaluates the scene there.
 GoTo = Callable[[int, float], None]
 # What motion blur leaves as it is, after the object's name.
-VELOCITY = "motion blur shows how it moves as a whole, and not its velocities"
 MOVES = "moves; it hides and shades volumes where it is in the frame, without motion blur"
 # Values of a shutter curve: as many as Cycles reads.
 CURVE = 256
@@ -51,8 +50,9 @@ def read_motion(
     views: "Sequence[bpy.types.SceneRenderView | None]",
     go_to: GoTo,
     check: Callable[[], None],
+    flows: bool = False,
 ) -> FrameMotion:
-    """What moves in a frame. views: as for `read_camera`.
+    """What moves in a frame. views: as for `read_camera`. flows: whether velocities carry what any volume holds.
 
     The scene is back in its frame at the end, also after errors. check: called at each time; what it raises ends the
     reading. Raises as `read_camera`.
@@ -68,7 +68,6 @@ def read_motion(
         count = motion_steps(shown.object) if motion_steps(shown.host) else 0
         if count and shows_volume(shown.object):
             counts[shown.key] = count
-            warnings += [f'volume "{shown.name}": {VELOCITY}'] if _has_velocity(shown) else []
         elif count and shown.object.type in SURFACES:
             counts[shown.key], surfaces[shown.key] = count, f'{shown.object.type.lower()} object "{shown.name}"'
     most, kept = max([*steps, *counts.values()], default=0), (scene.frame_current, scene.frame_subframe)
@@ -100,18 +99,8 @@ def read_motion(
     ]
     warnings += [f"{surfaces[key]} {MOVES}" for key in moving if key in surfaces]
     volumes = {key: matrices for key, matrices in moving.items() if key not in surfaces}
-    blurred = [shutter or (Shutter(curve=curve) if volumes else None) for shutter in shutters]
+    blurred = [shutter or (Shutter(curve=curve) if volumes or flows else None) for shutter in shutters]
     return FrameMotion(blurred, volumes, list(dict.fromkeys(warnings)))
-
-
-def _has_velocity(shown: VisibleObject) -> bool:
-    """Whether Cycles blurs a volume by its grids of velocities."""
-    data = shown.data
-    if shown.object.type != "VOLUME":
-        domains = [getattr(modifier, "domain_settings", None) for modifier in shown.object.modifiers]
-        return any(domain is not None and domain.domain_type == "GAS" for domain in domains)
-    names = {data.velocity_grid, data.velocity_x_grid} if data.velocity_scale and data.grids.load() else set()
-    return any(grid.name in names for grid in data.grids)
 
 
 def _shutter(cameras: Sequence[Camera], curve: tuple[float, ...]) -> Shutter | None:
@@ -125,11 +114,27 @@ def _shutter(cameras: Sequence[Camera], curve: tuple[float, ...]) -> Shutter | N
 def shutter_interval(scene: "bpy.types.Scene") -> tuple[float, float]:
     """Frames at which the shutter opens and closes."""
     render: Any = scene.render
-    # Cycles' own where the scene has none.
-    position = getattr(render, "motion_blur_position", None) or scene.cycles.motion_blur_position
-    opens = {"START": 0.0, "CENTER": -0.5, "END": -1.0}[position]
+    opens = {"START": 0.0, "CENTER": -0.5, "END": -1.0}[_position(render, scene)]
     frame, length = scene.frame_current + scene.frame_subframe, render.motion_blur_shutter
     return frame + opens * length, frame + (opens + 1.0) * length
+
+
+def velocity_times(scene: "bpy.types.Scene", scale: float, per_second: bool) -> tuple[float, float]:
+    """Times since the frame at which the shutter opens and closes, as Cycles multiplies velocities with them.
+
+    Where velocities are not per second, the length of the shutter does not count, except that one which closes at the
+    frame then opens late: as in Cycles.
+    """
+    render: Any = scene.render
+    length, rate = render.motion_blur_shutter, render.fps / render.fps_base
+    opens = {"START": 0.0, "CENTER": -0.5, "END": 1.0 - length}[_position(render, scene)]
+    factor = scale * (length / rate if per_second else 1.0)
+    return factor * opens, factor * (opens + 1.0)
+
+
+def _position(render: Any, scene: Any) -> str:
+    """Where the shutter lies about the frame; Cycles' own setting where the scene has none."""
+    return getattr(render, "motion_blur_position", None) or scene.cycles.motion_blur_position
 
 
 def shutter_curve(render: "bpy.types.RenderSettings") -> tuple[float, ...]:

@@ -28,7 +28,7 @@ from ..objects.camera import read_camera, read_views
 from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIAL, ignored_settings
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
-from ..objects.motion import GoTo, read_motion
+from ..objects.motion import GoTo, read_motion, uses_motion_blur
 from ..objects.surfaces import OWN_FOG, VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
 from ..objects.views import View, in_one_file, wanted_views
 from ..objects.visibility import (
@@ -43,7 +43,7 @@ from ..objects.visibility import (
 from ..objects.workload import Box, Workload, estimate_workload
 from ..runtime.text import utf8_names
 from ..volumes.bounding_boxes import box_around, remember_density
-from ..volumes.reader import EmptyVolume, VolumeReader
+from ..volumes.reader import EmptyVolume, VolumeReader, carries
 from ..world.lighting import WORLD_FOG, read_world, surface_light_warnings
 from .light_groups import LightGroups, lone_lights
 from .outputs import Owner, Wanted, wanted
@@ -168,7 +168,7 @@ def read_frame(
             description.unseen.append(str(problem))
         description.warnings += _refused(description, problem)
     if go_to is not None:
-        _add_motion(description, depsgraph, go_to, check)
+        _add_motion(description, depsgraph, reader or VolumeReader(), go_to, check)
     panorama = camera.projection == "equirectangular"
     description.warnings += surface_warnings(description.opaque, panorama, composited(depsgraph.scene))
     if not description.volumes:
@@ -184,10 +184,15 @@ def read_frame(
 
 
 def _add_motion(
-    description: SceneDescription, depsgraph: "bpy.types.Depsgraph", go_to: GoTo, check: Callable[[], None]
+    description: SceneDescription,
+    depsgraph: "bpy.types.Depsgraph",
+    reader: VolumeReader,
+    go_to: GoTo,
+    check: Callable[[], None],
 ) -> None:
     """Add what moves while the shutter is open. Raises as `read_motion`."""
-    found = read_motion(depsgraph, [None, *wanted_views(depsgraph.scene.render)], go_to, check)
+    flows = uses_motion_blur(depsgraph) and _add_velocities(description, depsgraph, reader, check)
+    found = read_motion(depsgraph, [None, *wanted_views(depsgraph.scene.render)], go_to, check, flows)
     shutter, *shutters = found.shutters
     description.warnings += found.warnings
     for (volume, _), (key, matrix) in zip(description.volumes, description.placed):
@@ -198,6 +203,24 @@ def _add_motion(
         replace(view, camera=replace(view.camera, shutter=own))
         for view, own in zip(description.views, shutters or [shutter])
     ]
+
+
+def _add_velocities(
+    description: SceneDescription, depsgraph: "bpy.types.Depsgraph", reader: VolumeReader, check: Callable[[], None]
+) -> bool:
+    """Add the velocities of volumes; returns whether there are any. A volume whose cannot be read has a warning."""
+    found, rendered = {}, {key for key, _ in description.placed}
+    for shown in visible_objects(depsgraph):
+        if shown.key not in rendered or not carries(shown):
+            continue
+        check()
+        try:
+            found[shown.key] = reader.velocity(shown, depsgraph.scene)
+        except SceneError as problem:
+            description.warnings += [f"{problem} (its velocity is left out)"]
+    for (volume, _), (key, _) in zip(description.volumes, description.placed):
+        volume.velocity = found.get(key)
+    return any(velocity is not None for velocity in found.values())
 
 
 def read_scene(

@@ -21,6 +21,8 @@ MIN_AMOUNT = 1e-6
 # Scalar grids, by their names in shaders, and the colour, which is stored times the density, and the density.
 GRIDS = ("density", "flame", "heat", "temperature")
 COLOUR = "color"
+# Three numbers in each voxel.
+VELOCITY = "velocity"
 
 
 def gas_domain(shown_object: "bpy.types.Object") -> Any:
@@ -58,6 +60,15 @@ def read_grids(domain: Any) -> dict[str, np.ndarray]:
         for name, values in zip(components(COLOUR), plain.T):
             found[name] = np.ascontiguousarray(values.reshape(found["density"].shape[::-1]).T)
     return found
+
+
+def velocities(domain: Any) -> tuple[np.ndarray, ...]:
+    """Components float32 (nx, ny, nz) of the velocity in this frame, which noise does not refine; () without any."""
+    values, coarse = _values(domain, VELOCITY), np.array(domain.domain_resolution)[::-1]
+    if len(values) != 3 * coarse.prod():
+        return ()
+    values[~np.isfinite(values)] = 0.0
+    return tuple(np.ascontiguousarray(part.reshape(coarse).T) for part in values.reshape(-1, 3).T)
 
 
 def is_empty(domain: Any) -> bool:

@@ -12,6 +12,7 @@ from ...inference.scene import Cancelled
 from ..runtime.background import Worker
 from ..world.picture import WorldSource
 from .source import VolumeSource
+from .velocity import VelocitySource
 
 if TYPE_CHECKING:
     from .reader import VolumeReader
@@ -23,7 +24,9 @@ class VolumeLoading(Worker):
     message: the current step.
     """
 
-    def __init__(self, reader: "VolumeReader", sources: "Sequence[VolumeSource | WorldSource]") -> None:
+    def __init__(
+        self, reader: "VolumeReader", sources: "Sequence[VolumeSource | VelocitySource | WorldSource]"
+    ) -> None:
         self.reader, self.sources = reader, sources
         self._process: subprocess.Popen | None = None
         self.message = sources[0].message if sources else ""

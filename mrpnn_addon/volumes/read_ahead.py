@@ -11,6 +11,7 @@ from ..runtime.background import Worker
 from ..vdb.density_grid import DensityGrid, read_density_grid
 from ..world.picture import WorldSource
 from .source import FileSource, VolumeSource
+from .velocity import FileVelocity, VelocitySource
 
 
 def following_file(path: str, step: int) -> str | None:
@@ -32,14 +33,14 @@ class ReadAhead(Worker):
 
     message = "reading volumes"
 
-    def __init__(self, sources: "Sequence[VolumeSource | WorldSource]", step: int) -> None:
+    def __init__(self, sources: "Sequence[VolumeSource | VelocitySource | WorldSource]", step: int) -> None:
         self.wanted = [
             (path, name, source.owner)
             for source in sources
-            if isinstance(source, FileSource) and source.is_sequence
+            if isinstance(source, (FileSource, FileVelocity)) and source.is_sequence
             for path in [following_file(source.path, step)]
             if path is not None
-            for name in source.probe.names
+            for name in source.names
         ]
         self.held: list[DensityGrid] = []
         self._process: subprocess.Popen | None = None

@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...inference.scene import Medium, SceneError, Volume
+from ...inference.scene import Medium, SceneError, Velocity, Volume
 from ..nodes.material import (
     EmptyMaterial,
     MissingGrids,
@@ -23,15 +23,16 @@ from ..nodes.material import (
 )
 from ..nodes.object_attributes import object_values
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
+from ..objects.motion import motion_steps, uses_motion_blur, velocity_times
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
 from ..runtime.text import text_of
 from ..vdb.density_grid import EmptyGrid, unreadable
 from ..world.lighting import wanted_world
 from ..world.picture import WorldSource
-from .fluid_domain import FluidSource, checksum, gas_domain, is_empty, probe_grids, read_grids
-from .shaded_grid import ShadedGrid
+from .fluid_domain import FluidSource, checksum, gas_domain, is_empty, probe_grids, read_grids, velocities
 from .source import FileSource, MeshSource, VolumeSource
+from .velocity import FileVelocity, FluidVelocity, VelocitySource, velocity_names
 from .voxel_points import Probe
 
 # Types of grids that Cycles reads as 0.
@@ -46,10 +47,11 @@ class EmptyVolume(Exception):
 class VolumeReader:
     """Reads volumes; instances share one reading.
 
-    known: contents of sources, or why they cannot be read, by their key. meshes: of surfaces, for `read_surface`.
+    known: contents of sources, as these read them, or why they cannot be read, by their key. meshes: of surfaces, for
+    `read_surface`.
     """
 
-    known: dict[tuple, SceneError | tuple[ShadedGrid, np.ndarray, list[str]]] = field(default_factory=dict)
+    known: dict[tuple, SceneError | Any] = field(default_factory=dict)
     meshes: dict[tuple, Mesh] = field(default_factory=dict)
 
     def read(self, shown: VisibleObject) -> tuple[list[tuple[Volume, Medium]], list[str]]:
@@ -92,21 +94,43 @@ class VolumeReader:
         ]
         return pairs, warnings + [f"{where}: {note}" for note in shaded.notes]
 
+    def velocity(self, shown: VisibleObject, scene: "bpy.types.Scene") -> Velocity | None:
+        """The velocities by which motion blur in a scene carries what a visible volume holds; None without any.
+
+        Raises SceneError, naming the object, where its file cannot be used.
+        """
+        scale, per_second = _velocity_scale(shown)
+        if not scale:
+            return None
+        for source in self._source_of_velocity(shown):
+            self.load(source)
+        known = self.known[_velocity_key(shown)]
+        if isinstance(known, SceneError):
+            raise type(known)(*known.args)
+        if known is None:
+            return None
+        components, object_from_index = known
+        times = velocity_times(scene, scale, per_second)
+        return Velocity(components, shown.matrix @ object_from_index, shown.matrix[:3, :3], times)
+
     def wanted(
         self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D | None" = None
-    ) -> list[VolumeSource | WorldSource]:
+    ) -> list[VolumeSource | VelocitySource | WorldSource]:
         """Sources of the scene that are not read yet, including a World that Cycles has to render: for a
         `VolumeLoading`.
 
         space: as of `visible_objects`.
         """
-        found: dict[tuple, VolumeSource] = {}
+        found: dict[tuple, VolumeSource | VelocitySource] = {}
+        blurred = space is None and uses_motion_blur(depsgraph)
         for shown in visible_objects(depsgraph, space):
             if self._is_wanted(shown, depsgraph.view_layer):
                 found.update((source.key, source) for source in self._source(shown))
+                if blurred and carries(shown):
+                    found.update((source.key, source) for source in self._source_of_velocity(shown))
         return [*found.values(), *wanted_world(depsgraph)]
 
-    def load(self, source: VolumeSource | WorldSource, *arguments: Any) -> None:
+    def load(self, source: VolumeSource | VelocitySource | WorldSource, *arguments: Any) -> None:
         """Read a source, or record why it cannot be read; on any thread. arguments: of `VolumeSource.read`."""
         try:
             if isinstance(source, WorldSource):
@@ -133,6 +157,21 @@ class VolumeReader:
             self.known[_key(shown, False)] = type(problem)(*problem.args)
             return []
 
+    def _source_of_velocity(self, shown: VisibleObject) -> list[VelocitySource]:
+        """The source of a volume's velocities, unless it is read; nothing where it has none, which is recorded."""
+        key, source = _velocity_key(shown), None
+        if key in self.known:
+            return []
+        try:
+            source = _velocity_source(shown, key)
+        except SceneError as problem:
+            self.known[key] = type(problem)(*problem.args)
+            return []
+        if source is None:
+            self.known[key] = None
+            return []
+        return [source]
+
     def _known_key(self, shown: VisibleObject) -> tuple | None:
         return next((key for key in (_key(shown, False), _key(shown, True)) if key in self.known), None)
 
@@ -148,6 +187,44 @@ def _key(shown: VisibleObject, placed: bool) -> tuple:
     content = checksum(domain) if domain else None
     read = object_values(first_material(shown.object), shown.object)
     return data.name_full, data.as_pointer(), shaders, read, shown.matrix.tobytes() if placed else None, content
+
+
+def carries(shown: VisibleObject) -> bool:
+    """Whether motion blur is to show a volume's velocities, if it has any."""
+    return shows_volume(shown.object) and bool(motion_steps(shown.object) and motion_steps(shown.host))
+
+
+def _velocity_scale(shown: VisibleObject) -> tuple[float, bool]:
+    """The factor of a volume's velocities, and whether these are per second."""
+    if shown.object.type == "VOLUME":
+        return shown.data.velocity_scale, shown.data.velocity_unit == "SECOND"
+    domain = gas_domain(shown.object)
+    return (domain.velocity_scale, True) if domain else (0.0, True)
+
+
+def _velocity_key(shown: VisibleObject) -> tuple:
+    """Identifies a volume's velocities; instances share them."""
+    domain = gas_domain(shown.object)
+    content = checksum(domain) if domain else shown.data.velocity_grid
+    return "velocity", shown.data.name_full, shown.data.as_pointer(), content
+
+
+def _velocity_source(shown: VisibleObject, key: tuple) -> VelocitySource | None:
+    """The source of a volume's velocities, if it has any. Raises SceneError, naming the object."""
+    domain, where = gas_domain(shown.object), _where(shown)
+    if domain:
+        components = velocities(domain)
+        space = np.linalg.inv(_generated(shown.object if domain.use_adaptive_domain else shown.object.original))
+        return FluidVelocity(key, components, space) if components else None
+    if shown.object.type != "VOLUME" or not load_grids(shown.data):
+        return None
+    names = velocity_names(shown.data, _grids_of_numbers(shown.data.grids))
+    if not names:
+        return None
+    path, folder = _file(shown, where)
+    source = FileVelocity(key, where, path, shown.name, names, shown.data.is_sequence and folder is None)
+    _keep(folder, source)
+    return source
 
 
 def _where(shown: VisibleObject) -> str:
@@ -191,12 +268,8 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
     data = shown.data
     if not load_grids(data) or not len(data.grids):
         raise SceneError(f"{where}: {_load_problem(data)}")
-    path, folder = _own_file(shown.object), None
-    is_sequence = data.is_sequence and path is not None
-    if path is None:
-        # Volumes of modifiers and geometry nodes have no file: Blender writes one.
-        folder = tempfile.mkdtemp(prefix="mrpnn-")
-        path = str(Path(folder, "evaluated.vdb"))
+    path, folder = _file(shown, where)
+    is_sequence = data.is_sequence and folder is None
     material = VolumeMaterial(first_material(shown.object), where, shown.object)
     # Names from Blender: only the other process parses files.
     names, vectors = _grids_of_numbers(data.grids)
@@ -204,11 +277,29 @@ def _file_source(shown: VisibleObject, where: str) -> FileSource:
     material.at(probe)
     key = _key(shown, probe.placed)
     source = FileSource(key, where, material, shown.matrix, path, shown.name, probe, is_sequence)
+    _keep(folder, source)
+    return source
+
+
+def _file(shown: VisibleObject, where: str) -> tuple[str, str | None]:
+    """The file of a volume. Blender writes that of modifiers and geometry nodes, into a folder that is
+    the second result. Raises SceneError, naming the object, where it cannot.
+    """
+    path = _own_file(shown.object)
+    if path is not None:
+        return path, None
+    folder = tempfile.mkdtemp(prefix="mrpnn-")
+    path = str(Path(folder, "evaluated.vdb"))
+    if not shown.data.grids.save(path):
+        shutil.rmtree(folder, ignore_errors=True)
+        raise SceneError(f"{where}: Blender cannot save the result of its modifiers")
+    return path, folder
+
+
+def _keep(folder: str | None, source: Any) -> None:
+    """Keep a folder, if any, as long as a source is in use."""
     if folder is not None:
         weakref.finalize(source, shutil.rmtree, folder, ignore_errors=True)
-        if not data.grids.save(path):
-            raise SceneError(f"{where}: Blender cannot save the result of its modifiers")
-    return source
 
 
 def _grids_of_numbers(grids: Any) -> tuple[list[str], tuple[str, ...]]:

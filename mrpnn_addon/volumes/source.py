@@ -2,7 +2,7 @@
 """Volumes found in a scene, to be read and shaded on any thread without calling bpy."""
 
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -106,6 +106,11 @@ class FileSource(VolumeSource):
     probe: Probe
     is_sequence: bool = False
 
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the grids that it reads."""
+        return self.probe.names
+
     def _read(
         self, started: Callable[[subprocess.Popen], None], check: Callable[[], None]
     ) -> tuple[ShadedGrid, np.ndarray, list[str]]:
@@ -134,7 +139,7 @@ class FileSource(VolumeSource):
             material.refuse(
                 f"it emits light where its grids are 0, and the box around them has more than {MAX_VOXELS} voxels"
             )
-        grids = {name: _placed(grid, name, common) for name, grid in common.grids.items()}
+        grids = {name: placed(grid, name, common) for name, grid in common.grids.items()}
         grids.update({name: np.zeros(shape, np.float32) for name in probe.names if name not in grids})
         filled = None
         # A shader that emits where the grids are 0 fills Cycles' boxes.
@@ -218,8 +223,8 @@ def is_refined(material: VolumeMaterial, probe: Probe, voxels: int, is_negative:
     return probe.placed or not is_linear(material, probe) or (is_negative and BY_LEAF)
 
 
-def _placed(values: np.ndarray | SparseGrid, name: str, common: CommonVoxels) -> np.ndarray:
-    """A grid as an array of its box's shape."""
+def placed(values: np.ndarray | SparseGrid, name: str, common: CommonVoxels) -> np.ndarray:
+    """A grid, by name, as an array of its box's shape."""
     background, offset = common.backgrounds[name], common.offsets[name]
     if isinstance(values, SparseGrid):
         values = values.with_values(values.values - np.float32(background)).dense() + np.float32(background)

@@ -296,7 +296,7 @@ def lens(stage: Stage) -> None:
 
 
 def moving(stage: Stage) -> None:
-    """Motion blur of a camera that passes by while it turns, and of a volume that rises."""
+    """Motion blur of a camera that passes by while it turns, of a volume that rises, and of velocities in a file."""
     render, passing = stage.scene.render, camera(stage)
     render.use_motion_blur, render.motion_blur_shutter = True, 1.0
     (x, *_), (*_, turn) = passing.location, passing.rotation_euler
@@ -305,6 +305,11 @@ def moving(stage: Stage) -> None:
         for path in ("location", "rotation_euler"):
             passing.keyframe_insert(path, frame=stage.frame + step)
     rising = stage.volumes[0]
+    data = rising.data
+    if rising.type == "VOLUME" and data.filepath and not data.is_sequence:
+        whirl = np.random.default_rng(6).normal(0.0, 0.1, (3, 6, 6, 6))
+        frame = blender_scenes.centred(6, 2.0)
+        data.filepath = blender_scenes.with_velocity(stage.folder, data.filepath, whirl, frame)
     # A domain that moves simulates anew.
     if all(modifier.type != "FLUID" for modifier in rising.modifiers):
         z = rising.location.z

@@ -39,6 +39,23 @@ def write_vdb(folder, density, transform=None, low=(0, 0, 0), name="density", ba
     return path
 
 
+def with_velocity(folder, path, values, transform, parts=False):
+    """A copy of a file of `write_vdb` that also holds velocities (3, nx, ny, nz); gives its path.
+
+    transform: as of `write_vdb`. parts: whether they are three grids of numbers instead of one of vectors.
+    """
+    vdb = openvdb()
+    moved = np.moveaxis(values, 0, -1)
+    grids = [vdb.FloatGrid() for _ in range(3)] if parts else [vdb.Vec3SGrid()]
+    for axis, grid in enumerate(grids):
+        grid.copyFromArray(np.ascontiguousarray(moved[..., axis] if parts else moved, np.float32))
+        grid.name = "velocity" + (".x", ".y", ".z")[axis] if parts else "velocity"
+        grid.transform = vdb.createLinearTransform(np.asarray(transform, dtype=float).T.tolist())
+    copy = str(folder / f"volume{next(_numbers)}.vdb")
+    vdb.write(copy, grids=[vdb.read(path, "density"), *grids])
+    return copy
+
+
 def blob(cells=16, seed=3):
     """A random smooth density that fades to 0 at its bounds, float32 (cells,) * 3."""
     axis = (np.arange(cells) + 0.5) / cells * 2.0 - 1.0

@@ -12,11 +12,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from inference import Surface
+from inference import Surface, Velocity
 from inference.baking.light_ahead import light_ahead
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import Between
 from inference.grids import working_cube
+from inference.grids.bound_medium import Flow, Movement
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.halving import halve
 from inference.grids.lamp_optical_depth import LampOpticalDepth
@@ -48,6 +49,8 @@ from inference.transport.scattered_fluence import FluenceLattice
 from tests.support.marches import LAMPS, MarchScene, Recipe, random_lamp, random_scene
 
 CELLS = 32
+# Eyes of scenes that move.
+EYES = 5
 STRANGE = np.array([np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45, -0.0, 2.0**31, -(2.0**31), 2.0**63, 0.5])
 
 
@@ -120,18 +123,41 @@ def spoiled_rays(random: np.random.Generator, rays: RayBatch) -> RayBatch:
     if detail is not None and random.random() < 0.4:
         detail = detail.copy()
         spoil(random, detail)
-    return RayBatch(*arrays, detail)
+    return RayBatch(*arrays, detail, rays.eyes)
+
+
+def movement(random: np.random.Generator) -> Movement | None:
+    """How a volume moves in front of EYES, with velocities of any kind."""
+    if random.random() < 0.2:
+        return None
+    frames = np.eye(4)[:3] + random.normal(0.0, 0.1, (EYES, 3, 4))
+    shape = tuple(random.integers(1, 12, 3).tolist())
+    parts = random.normal(0.0, 10.0 ** random.uniform(-3.0, 30.0), (3, *shape)).astype(np.float32)
+    matrix = np.diag([*random.uniform(0.01, 1.0, 3), 1.0])
+    velocity = Velocity(tuple(parts), matrix, random.normal(size=(3, 3)), (-0.5, 0.5))
+    flow = Flow(velocity, Flow.grids_of(velocity), random.uniform(-1.0, 1.0, EYES))
+    for grid in flow.grids:
+        spoil(random, grid.padded)
+    return Movement(frames, flow if random.random() < 0.8 else None)
 
 
 def march(random: np.random.Generator) -> None:
     """Rays through a scene of any kind."""
     scene = random_scene(int(random.integers(1 << 32)), random_recipe(random), 8)
+    eyes = None
+    if random.random() < 0.4:
+        scene = replace(scene, media=[replace(medium, motion=movement(random)) for medium in scene.media])
+        eyes = random.integers(0, EYES, len(scene.rays.near))
+    scene = replace(scene, rays=replace(scene.rays, eyes=eyes))
     options = replace(scene.options, at_start=random.random() < 0.3)
     march = Marcher(scene.media, options, scene.channels, ctypes.c_int32(0), scene.lamps)
     for array in contents(scene):
         if random.random() < 0.6:
             spoil(random, array)
     march(scene.rays)
+    for medium in scene.media:
+        if medium.flows and random.random() < 0.5:
+            medium.motion.flow.velocities(spoiled(random, (11, 3), np.float64), random.integers(0, EYES, 11))
     rays = spoiled_rays(random, scene.rays)
     finite = np.flatnonzero(
         np.isfinite(rays.near)

@@ -154,29 +154,101 @@ def test_a_camera_that_a_marker_binds_at_the_frame_is_the_one_that_moves(addon, 
     assert motion_scene.camera.name == "Camera"
 
 
-def test_meshes_that_move_and_grids_of_velocities_are_named(addon, motion_scene, tmp_path):
+def add_velocity(scene, folder, values, edge=1.2, parts=False):
+    """Give the cloud's file velocities (3, n, n, n) over a centred cube."""
+    cloud = scene.objects["Cloud"].data
+    frame = make.centred(values.shape[1], edge)
+    cloud.filepath = make.with_velocity(folder, cloud.filepath, values, frame, parts)
+
+
+def whirl(cells=12, edge=1.4):
+    """Velocities that turn about z, rise, and differ along x; in object units per frame."""
+    axis = ((np.arange(cells) + 0.5) / cells - 0.5) * edge
+    x, y, _ = np.meshgrid(axis, axis, axis, indexing="ij")
+    return np.stack([-1.2 * y + 0.3, 1.2 * x, 0.4 + x])
+
+
+def flowing(scene, folder, unit="FRAME"):
+    add_velocity(scene, folder, whirl(), 1.4)
+    data = scene.objects["Cloud"].data
+    data.velocity_unit, data.velocity_scale = unit, 1.0 if unit == "FRAME" else 24.0
+    scene.objects["Cloud"].rotation_euler = 0.2, -0.3, 0.4
+    scene.frame_set(FRAME)
+
+
+def test_meshes_that_move_are_named(addon, motion_scene):
     mesh = bpy.data.meshes.new("Wall")
     mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
     keyed(make.add_object(motion_scene, "Wall", mesh), "location", {FRAME - 2: (0, 0, 0), FRAME + 2: (1, 0, 0)})
-    text = "\n".join(read(motion_scene).warnings)
-    assert 'mesh object "Wall" moves' in text and "velocities" not in text
-    openvdb, path = make.openvdb(), str(tmp_path / "flow.vdb")
-    grids = openvdb.readAllGridMetadata(motion_scene.objects["Cloud"].data.filepath)
-    flow = openvdb.Vec3SGrid()
-    flow.copyFromArray(np.ones((4, 4, 4, 3), np.float32))
-    flow.name = "velocity"
-    source = motion_scene.objects["Cloud"].data.filepath
-    openvdb.write(path, [openvdb.read(source, grids[0].name), flow])
-    motion_scene.objects["Cloud"].data.filepath = path
-    assert 'volume "Cloud": motion blur shows how it moves as a whole' in "\n".join(read(motion_scene).warnings)
+    assert 'mesh object "Wall" moves' in "\n".join(read(motion_scene).warnings)
     motion_scene.render.use_motion_blur = False
     assert "moves" not in "\n".join(read(motion_scene).warnings)
 
 
+@pytest.mark.parametrize("parts", [False, True])
+def test_velocities_of_a_file_are_read(addon, motion_scene, tmp_path, parts):
+    values = np.random.default_rng(5).normal(size=(3, 6, 7, 8)).astype(np.float32)
+    add_velocity(motion_scene, tmp_path, values, parts=parts)
+    cloud = motion_scene.objects["Cloud"]
+    cloud.rotation_euler, cloud.scale = (0.3, 0.2, 0.1), (2.0, 1.0, 0.5)
+    motion_scene.frame_set(FRAME)
+    found = read(motion_scene)
+    velocity = found.volumes[0][0].velocity
+    assert found.camera.shutter is not None and not found.warnings
+    assert all(np.array_equal(part, expected) for part, expected in zip(velocity.components, values))
+    matrix = np.array(cloud.matrix_world)
+    assert np.allclose(velocity.world_from_velocity, matrix[:3, :3])
+    # The middle of the grid lies half a voxel off before Blender 5.0.
+    middle = velocity.world_from_index @ [2.5, 2.5, 2.5, 1.0]
+    centre = 0.5 * 1.2 / 6 if bpy.app.version < (5, 0, 0) else 0.0
+    assert np.allclose(middle, matrix @ [centre, centre, centre, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "position, unit, times",
+    [
+        ("CENTER", "FRAME", (-1.0, 1.0)),
+        ("START", "FRAME", (0.0, 2.0)),
+        ("END", "FRAME", (1.0, 3.0)),
+        ("CENTER", "SECOND", (-0.025, 0.025)),
+    ],
+)
+def test_the_times_of_velocities_are_those_of_cycles(addon, motion_scene, tmp_path, position, unit, times):
+    flowing(motion_scene, tmp_path, unit)
+    render, data = motion_scene.render, motion_scene.objects["Cloud"].data
+    render.motion_blur_position, render.motion_blur_shutter, render.fps, render.fps_base = position, 0.5, 30, 1.5
+    data.velocity_scale = 2.0
+    data.update_tag()
+    assert read(motion_scene).volumes[0][0].velocity.times == pytest.approx(times)
+
+
+def test_velocities_that_are_not_to_be_shown_are_not(addon, motion_scene, tmp_path):
+    flowing(motion_scene, tmp_path)
+    data = motion_scene.objects["Cloud"].data
+    data.velocity_scale = 0.0
+    data.update_tag()
+    assert read(motion_scene).camera.shutter is None
+    data.velocity_scale = 1.0
+    data.update_tag()
+    motion_scene.objects["Cloud"].cycles.use_motion_blur = False
+    assert read(motion_scene).volumes[0][0].velocity is None
+    motion_scene.objects["Cloud"].cycles.use_motion_blur = True
+    motion_scene.render.use_motion_blur = False
+    assert read(motion_scene).volumes[0][0].velocity is None
+
+
+def test_spoiled_velocities_leave_a_picture(addon, motion_scene, tmp_path):
+    values = np.full((3, 8, 8, 8), 1e30)
+    values[:, ::2] = np.nan
+    add_velocity(motion_scene, tmp_path, values)
+    layer = make.rendered(motion_scene, tmp_path)
+    assert np.isfinite(layer).all() and layer.max() > 0.01
+
+
 @pytest.mark.slow(seconds=60)
-@pytest.mark.parametrize("move", [moving_camera, zoom, moving_cloud])
+@pytest.mark.parametrize("move", [moving_camera, zoom, moving_cloud, flowing])
 def test_pictures_are_as_blurred_as_in_cycles(addon, motion_scene, tmp_path, move):
-    move(motion_scene)
+    move(motion_scene, *([tmp_path] if move is flowing else []))
     errors, change = errors_against_cycles(motion_scene, tmp_path)
     assert change > 0.15
     for sharp, blurred in zip(errors[False], errors[True]):

@@ -113,7 +113,7 @@ VIEW_LAYER = {
 VOLUME = {
     "read by Blender, which chooses the file: test_sources": "filepath|packed_file|is_sequence|frame_.*|sequence_mode"
     "|grids|materials",
-    "of motion blur, which is named": "velocity_.*",
+    "rendered: test_motion_blur": "velocity_.*",
     "a reference": "animation_data|display|render",
 }
 VOLUME_RENDER = {
