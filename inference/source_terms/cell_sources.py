@@ -49,14 +49,12 @@ class SunBeam:
         visibility = self.visibility
         return replace(self, visibility=solver.means(visibility)) if isinstance(visibility, np.ndarray) else self
 
-    def scattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As of CellSource: light in the phase function's forward peak has scattered, too."""
-        unscattered = self.visibility * np.exp(-solver.sigma * self._depth(solver.density))
-        ballistic = self.visibility * np.exp(-np.float32(solver.sigma_hat) * self._depth(solver.matter))
-        return solver.solve(self, cancel)[0] + np.maximum(unscattered - ballistic, 0.0)
-
-    def _depth(self, density: np.ndarray) -> np.ndarray:
-        return sun_optical_depth(density, self.direction, 1.0 / len(density))
+    def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        beam = self.visibility * np.exp(
+            -solver.sigma * sun_optical_depth(solver.density, self.direction, 1.0 / len(solver.density))
+        )
+        return solver.solve(self, cancel) + _flowing(beam, -self.direction.reshape(3, 1, 1, 1))
 
     def _phase(self, solver: DiscreteOrdinates, steps: np.ndarray) -> np.ndarray:
         """Henyey-Greenstein phase function (D,) of the beam along steps (D, 3)."""
@@ -78,6 +76,11 @@ class LampBeam(CellSource):
         if solver.varies:
             beams *= solver.albedo
         return solver.sweeps.followers(fields.source, fields.swept, beams=beams)
+
+    def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        light, towards = self.beam(solver, cancel)
+        return solver.solve(self, cancel) + _flowing(light, -towards)
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,11 @@ class EnteringLight(CellSource):
             nearest = np.rint(np.arange(n) * (most / (n - 1))).astype(int)
             visible = visible[np.ix_(range(len(visible)), *[nearest] * 3)]
         return solver.sweeps.followers(fields.source, fields.swept, entering=entering, visible=visible)
+
+
+def _flowing(light: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Fluence and flux, float32 (4, x, y, z), of light (x, y, z) that goes along unit vectors, (3, x, y, z) or one."""
+    return np.concatenate([light[None], light * along]).astype(np.float32)
 
 
 def scattered_beams(light: np.ndarray, towards: np.ndarray, anisotropy: float) -> np.ndarray:
