@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Multiple scattering where the albedo varies in space, against traced paths.
 
-    python -m benchmarks.fidelity.colours [--size 16] [--paths 256] [--anisotropies 0 0.857]
+    python -m benchmarks.fidelity.colours [--size 16] [--paths 1024] [--anisotropies 0 0.857]
 
 Each volume, of a seed that no network has learnt from, has two colours that meet in one way: in the patches of smoke,
 along an axis, in the sharp patches of soot, or with the density. It is seen by one orthographic camera in the light of
@@ -172,7 +172,7 @@ def main(options=None):
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--size", type=int, default=16, help="pixels along an edge")
-    parser.add_argument("--paths", type=int, default=256, help="per pixel, of both halves together")
+    parser.add_argument("--paths", type=int, default=1024, help="per pixel, of both halves together")
     parser.add_argument("--anisotropies", type=float, nargs="+", default=[0.0, 0.857])
     arguments = parser.parse_args(options)
     print(made_by(PROGRAM, options))

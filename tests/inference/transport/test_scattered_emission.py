@@ -131,10 +131,9 @@ def test_it_adds_to_sunlight_and_can_be_turned_off():
 
 
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
-@pytest.mark.parametrize("sigma", [10.0, 60.0])
-def test_flames_in_smoke_are_scattered_as_by_traced_paths(sigma, anisotropy):
+def test_a_flame_in_smoke_is_scattered_as_by_traced_paths(anisotropy):
     """A narrow phase function scatters towards the camera what arrives from ahead, from the flame itself too."""
-    axis = (np.arange(48) + 0.5) / 48 - 0.5
+    sigma, axis = 10.0, (np.arange(48) + 0.5) / 48 - 0.5
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
     smoke = np.clip(2.2 - 5.0 * radius(48), 0.0, 1.0).astype(np.float32)
     flame = np.exp(-((x - 0.1) ** 2 + y**2 + (z + 0.05) ** 2) / 0.07**2).astype(np.float32)
