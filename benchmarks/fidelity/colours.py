@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Multiple scattering where the albedo varies in space, against traced paths.
+"""Multiple scattering where the albedo varies in space, and scattered emission, against traced paths.
 
-    python -m benchmarks.fidelity.colours [--size 16] [--paths 1024] [--anisotropies 0 0.857]
+    python -m benchmarks.fidelity.colours [--emission] [--size 16] [--paths 1024] [--anisotropies 0 0.857]
 
 Each volume, of a seed that no network has learnt from, has two colours that meet in one way: in the patches of smoke,
 along an axis, in the sharp patches of soot, or with the density. It is seen by one orthographic camera in the light of
 two suns. Paths start where camera rays scatter first, at random in equal parts of a ray's opacity. RMSE is relative to
 the mean and without the paths' noise, of all three channels, and a mean over the suns. Biases are those of each
 channel's images, and ± is the largest of their standard errors.
+
+With --emission, volumes of albedo 0.9 light themselves: parts of them glow, or a flame burns in them or beside them.
 """
 
 import argparse
@@ -16,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from inference import Camera, Medium, Settings, Sun, render
+from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.scene.optimizations import ALL
-from training.data.light_scene import _noise, _points, _smoothstep
+from training.data.light_scene import EMISSIONS, _flame, _glowing_density, _noise, _points, _smoothstep
 from training.procedural.seeded_volume import cube_volume
 from training.procedural.volumes import make_volume
 from training.tracer.density_grid import prepare
@@ -37,6 +39,8 @@ COLOURS = {
     "soot": ((0.99, 0.99, 0.99), (0.1, 0.3, 0.5)),
     "density": ((0.9, 0.9, 0.9), (0.7, 0.35, 0.15)),
 }
+#: Seeds of the volumes that emit, their extinction where the density is 1, per cube edge, and their albedo.
+GLOWING, SIGMAS, ALBEDO = range(1_000_420, 1_000_424), (20.0, 150.0), 0.9
 #: Vertices on each ray, and steps along an edge of the cube by which its opacity is known.
 VERTICES, STEPS = 16, 256
 #: Every pixel is predicted by itself.
@@ -154,6 +158,16 @@ def shown(scene: Coloured, anisotropy: float, size: int) -> np.ndarray:
     return np.array([render([(volume, medium)], [sun], scene.camera(size), SETTINGS).multiple for sun in suns])
 
 
+def shown_glow(scene: Coloured, emission: np.ndarray, anisotropy: float, size: int) -> np.ndarray:
+    """The renderer's images (E, size, size, 3) of emission (N, N, N, E)."""
+    volume, medium, images = cube_volume(scene.density), Medium(scene.sigma, ALBEDO, anisotropy), []
+    for field in np.moveaxis(emission, 3, 0):
+        grey = np.repeat(field[..., None], 3, axis=3)
+        glowing = Volume(volume.density, volume.world_from_index, volume.name, grey)
+        images.append(render([(glowing, medium)], [], scene.camera(size), SETTINGS).multiple)
+    return np.array(images)
+
+
 def compare(images: np.ndarray, halves: np.ndarray, seen: np.ndarray) -> tuple[float, np.ndarray, float]:
     """Mean relative RMSE of lights without noise, biases (3,) of channels, and the largest standard error of these.
 
@@ -167,15 +181,8 @@ def compare(images: np.ndarray, halves: np.ndarray, seen: np.ndarray) -> tuple[f
     return float((np.sqrt(np.maximum(square, 0.0)) / mean.mean(axis=1)).mean()), bias.mean(axis=0), error.max()
 
 
-def main(options=None):
-    parser = argparse.ArgumentParser(
-        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--size", type=int, default=16, help="pixels along an edge")
-    parser.add_argument("--paths", type=int, default=1024, help="per pixel, of both halves together")
-    parser.add_argument("--anisotropies", type=float, nargs="+", default=[0.0, 0.857])
-    arguments = parser.parse_args(options)
-    print(made_by(PROGRAM, options))
+def coloured(arguments: argparse.Namespace) -> None:
+    """Print the table of varying albedos."""
     print("| colours | G | extinction | RMSE | bias of red | of green | of blue | ± |")
     print("|---|---|---|---|---|---|---|---|")
     for kind in COLOURS:
@@ -185,6 +192,40 @@ def main(options=None):
             rmse, biases, error = compare(shown(scene, anisotropy, arguments.size), halves, scene.seen(arguments.size))
             means = " | ".join(f"{bias:+.1%}" for bias in biases)
             print(f"| {kind} | {anisotropy:g} | {scene.sigma:.0f} | {rmse:.3f} | {means} | {error:.1%} |", flush=True)
+
+
+def glowing(arguments: argparse.Namespace) -> None:
+    """Print the table of emission."""
+    print("| volume | G | extinction | emission | RMSE | bias | ± |")
+    print("|---|---|---|---|---|---|---|")
+    for seed in GLOWING:
+        random, density = np.random.default_rng([seed, 9]), make_volume(seed, CELLS).density
+        emission = np.stack([_glowing_density(random, density), _flame(random, density)], axis=3)
+        view = np.linalg.qr(random.normal(size=(3, 3)))[0].T
+        even, white = np.zeros_like(density), np.full(3, ALBEDO, np.float32)
+        for sigma in SIGMAS:
+            scene = Coloured(density, even, white, white, sigma, np.zeros((0, 3)), view * np.linalg.det(view))
+            for anisotropy in arguments.anisotropies:
+                halves = traced(scene, scene.lights(emission), anisotropy, arguments.size, arguments.paths)
+                images = shown_glow(scene, emission, anisotropy, arguments.size)
+                for number, name in enumerate(EMISSIONS):
+                    here = slice(number, number + 1)
+                    rmse, bias, error = compare(images[here], halves[:, here], scene.seen(arguments.size))
+                    facts = f"| {seed} | {anisotropy:g} | {sigma:.0f} | {name} |"
+                    print(f"{facts} {rmse:.3f} | {bias.mean():+.1%} | {error:.1%} |", flush=True)
+
+
+def main(options=None):
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--emission", action="store_true", help="light that volumes emit and scatter")
+    parser.add_argument("--size", type=int, default=16, help="pixels along an edge")
+    parser.add_argument("--paths", type=int, default=1024, help="per pixel, of both halves together")
+    parser.add_argument("--anisotropies", type=float, nargs="+", default=[0.0, 0.857])
+    arguments = parser.parse_args(options)
+    print(made_by(PROGRAM, options))
+    (glowing if arguments.emission else coloured)(arguments)
 
 
 if __name__ == "__main__":

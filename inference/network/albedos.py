@@ -15,7 +15,7 @@ from ..transport.scattered_fluence import MIN_SHARE
 from ..transport.varying_albedo import between
 
 # Ends of the parts of a ray on which the light ahead is read, in mean free paths.
-PARTS = (0.5, 1.2, 2.4, 5.0)
+PARTS = (0.6, 1.8, 5.0)
 # Light below this is none.
 MIN_LIGHT = 1e-12
 
@@ -124,19 +124,20 @@ class VaryingAlbedos:
                 extinction = np.float32(self.sigma_hat) * (matter[:, :1] - np.float32(forward) * matter[:, 1:])
                 return extinction, np.float32(self.sigma_hat * (1.0 - forward)) * matter[:, 1:] * source
 
-            ahead = light_ahead(read, np.multiply(PARTS, self.free_path))
+            ahead = light_ahead(read, [part * self.free_path for part in PARTS])
             found = (1.0 - forward) * found + forward * ahead
         return found, albedo
 
     def _read(self, positions: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Density and that times each albedo, (N, 1 + K + C), and the light scattered along -omega, (N, K + C)."""
-        values = read_lattice(self.light, positions)
+        values, flux = read_lattice(self.light, positions), (3.0 * reduced_anisotropy(self.anisotropy)) * omega.T
         count, channels = len(self.values), len(self.enclosing)
-        matter, light = values[:, : 1 + channels], values[:, 1 + channels :].reshape(len(values), count + channels, 4)
+        matter, light = values[:, : 1 + channels], values[:, 1 + channels :].reshape(len(values), 4, count + channels)
         uniform = matter[:, :1] * np.asarray(self.values, np.float32)
-        flux = np.float32(3.0 * reduced_anisotropy(self.anisotropy)) * omega.astype(np.float32)
-        along = (light[..., 1:] * flux[:, None]).sum(axis=2)
-        source = np.maximum(light[..., 0] - along, MIN_SHARE * light[..., 0])
+        source = light[:, 0].copy()
+        for axis, along in enumerate(flux.astype(np.float32), 1):
+            source -= along[:, None] * light[:, axis]
+        np.maximum(source, MIN_SHARE * light[:, 0], out=source)
         return np.concatenate([matter[:, :1], uniform, matter[:, 1:]], axis=1), source
 
 

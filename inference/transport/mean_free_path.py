@@ -27,7 +27,7 @@ def light_ahead(read: Callable[[int, float], tuple[np.ndarray, np.ndarray]], end
     read: gives the extinction and the emission of part number k of the rays, at the distance of its middle, per unit of
     the distance. ends: distances at which the parts end, ascending; the first begins at the points.
     """
-    found, passed, begin = np.zeros(()), np.ones(()), 0.0
+    found, passed, begin = np.zeros((), np.float32), np.ones((), np.float32), 0.0
     for number, end in enumerate(ends):
         extinction, emission = read(number, 0.5 * (begin + end))
         depth = np.maximum(extinction * (end - begin), MIN_DEPTH)

@@ -69,9 +69,9 @@ class CoarseAlbedo:
     ) -> np.ndarray:
         """What `network.albedos` reads: float32 (n + 2, n + 2, n + 2, 1 + C + 4 (K + C)) of C = 1 or 3 channels.
 
-        Density, that times the albedo of each channel, and fluence and flux for each uniform albedo and channel. The
-        density ends at the faces; the light of the outermost cells goes on. solver_of: a solver for an albedo. source:
-        of light. Raises Cancelled.
+        Density, that times the albedo of each channel, and fluence and flux, each for all uniform albedos and channels.
+        The density ends at the faces; the light of the outermost cells goes on. solver_of: a solver for an albedo.
+        source: of light. Raises Cancelled.
         """
         n = len(self.density)
         albedos = [*map(float, self.uniform), *self.channels]
@@ -79,9 +79,9 @@ class CoarseAlbedo:
         used = np.concatenate([own for own, varies in zip(self.enclosing, varying) if varies])
         needed = [number in used for number in range(len(self.uniform))] + varying
         matter = np.stack([self.density, *(albedo * self.density for albedo in self.channels)], axis=3)
-        light = np.zeros((n, n, n, len(albedos), 4), np.float32)
+        light = np.zeros((n, n, n, 4, len(albedos)), np.float32)
         for number in np.flatnonzero(needed):
-            light[..., number, :] = np.moveaxis(source.arriving(solver_of(albedos[number]), cancel), 0, -1)
+            light[..., number] = np.moveaxis(source.arriving(solver_of(albedos[number]), cancel), 0, -1)
         border = [(1, 1)] * 3 + [(0, 0)]
         light = np.pad(light.reshape(n, n, n, -1), border, mode="edge")
         return np.concatenate([np.pad(matter, border), light], axis=3).astype(np.float32)
