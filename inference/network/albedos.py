@@ -115,12 +115,13 @@ class VaryingAlbedos:
         forward peak scatters what arrives from ahead on the ray.
         """
         forward = self.anisotropy**2
-        matter, found = self._read(positions, omega)
+        matter, found, unscattered = self._read(positions, omega)
+        found -= unscattered
         albedo = matter[:, len(self.values) + 1 :] / np.maximum(matter[:, :1], 1e-30)
         if forward > 0.0:
 
             def read(number: int, distance: float) -> tuple[np.ndarray, np.ndarray]:
-                matter, source = self._read(positions + distance * omega, omega)
+                matter, source, _ = self._read(positions + distance * omega, omega)
                 extinction = np.float32(self.sigma_hat) * (matter[:, :1] - np.float32(forward) * matter[:, 1:])
                 return extinction, np.float32(self.sigma_hat * (1.0 - forward)) * matter[:, 1:] * source
 
@@ -128,17 +129,23 @@ class VaryingAlbedos:
             found = (1.0 - forward) * found + forward * ahead
         return found, albedo
 
-    def _read(self, positions: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Density and that times each albedo, (N, 1 + K + C), and the light scattered along -omega, (N, K + C)."""
+    def _read(self, positions: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Density and that times each albedo, (N, 1 + K + C), and the light that is scattered along -omega.
+
+        That for each albedo, (N, K + C), and the part that had not scattered before, (N, 1).
+        """
         values, flux = read_lattice(self.light, positions), (3.0 * reduced_anisotropy(self.anisotropy)) * omega.T
         count, channels = len(self.values), len(self.enclosing)
-        matter, light = values[:, : 1 + channels], values[:, 1 + channels :].reshape(len(values), 4, count + channels)
+        matter, light = (
+            values[:, : 1 + channels],
+            values[:, 1 + channels :].reshape(len(values), 4, count + channels + 1),
+        )
         uniform = matter[:, :1] * np.asarray(self.values, np.float32)
         source = light[:, 0].copy()
         for axis, along in enumerate(flux.astype(np.float32), 1):
             source -= along[:, None] * light[:, axis]
         np.maximum(source, MIN_SHARE * light[:, 0], out=source)
-        return np.concatenate([matter[:, :1], uniform, matter[:, 1:]], axis=1), source
+        return np.concatenate([matter[:, :1], uniform, matter[:, 1:]], axis=1), source[:, :-1], source[:, -1:]
 
 
 def _place(known: np.ndarray, light: np.ndarray) -> np.ndarray:

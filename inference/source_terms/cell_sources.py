@@ -11,12 +11,13 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
 from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
+from .lamp_beam import CubeCells
 
 # Cells whose beams are found at once: few enough for matrix products that stay on this thread.
 BEAMS_PER_BLOCK = 1024
 
 # Mean of a lamp's unscattered light over each cell of a solver, (x, y, z), and unit vectors (3, x, y, z) towards it.
-Beam = Callable[[DiscreteOrdinates, CancelToken], tuple[np.ndarray, np.ndarray]]
+Beam = Callable[[DiscreteOrdinates | CubeCells, CancelToken], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,16 @@ class SunBeam:
 
     def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
         """As of CellSource."""
-        beam = self.visibility * np.exp(
-            -solver.sigma * sun_optical_depth(solver.density, self.direction, 1.0 / len(solver.density))
-        )
-        return solver.solve(self, cancel) + _flowing(beam, -self.direction.reshape(3, 1, 1, 1))
+        return solver.solve(self, cancel) + self._beam(solver.density, solver.sigma)
+
+    def unscattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        return self._beam(solver.matter, solver.sigma_hat)
+
+    def _beam(self, density: np.ndarray, sigma: float) -> np.ndarray:
+        """Fluence and flux at the middles of cells, of an extinction for density 1."""
+        depth = sun_optical_depth(density, self.direction, 1.0 / len(density))
+        return _flowing(self.visibility * np.exp(-np.float32(sigma) * depth), -self.direction.reshape(3, 1, 1, 1))
 
     def _phase(self, solver: DiscreteOrdinates, steps: np.ndarray) -> np.ndarray:
         """Henyey-Greenstein phase function (D,) of the beam along steps (D, 3)."""
@@ -81,6 +88,11 @@ class LampBeam(CellSource):
         """As of CellSource."""
         light, towards = self.beam(solver, cancel)
         return solver.solve(self, cancel) + _flowing(light, -towards)
+
+    def unscattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        light, towards = self.beam(CubeCells(solver.matter, solver.sigma_hat), cancel)
+        return _flowing(light, -towards)
 
 
 @dataclass(frozen=True)

@@ -93,6 +93,10 @@ class CellSource(Protocol):
         """Fluence and flux, float32 (4, x, y, z), of all of its light, beams included. Raises Cancelled."""
         return solver.solve(self, cancel)
 
+    def unscattered(self, solver: "DiscreteOrdinates", cancel: CancelToken = NEVER) -> np.ndarray:
+        """As `arriving`, of a beam that has not scattered, not even within the forward peak. Raises Cancelled."""
+        return np.zeros((4, *solver.density.shape), np.float32)
+
 
 class DiscreteOrdinates:
     """Solver for the light in one medium, of any source.

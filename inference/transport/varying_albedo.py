@@ -67,21 +67,23 @@ class CoarseAlbedo:
     def light(
         self, solver_of: Callable[..., DiscreteOrdinates], source: CellSource, cancel: CancelToken = NEVER
     ) -> np.ndarray:
-        """What `network.albedos` reads: float32 (n + 2, n + 2, n + 2, 1 + C + 4 (K + C)) of C = 1 or 3 channels.
+        """What `network.albedos` reads: float32 (n + 2, n + 2, n + 2, 1 + C + 4 (K + C + 1)) of C = 1 or 3 channels.
 
-        Density, that times the albedo of each channel, and fluence and flux, each for all uniform albedos and channels.
-        The density ends at the faces; the light of the outermost cells goes on. solver_of: a solver for an albedo.
-        source: of light. Raises Cancelled.
+        Density, that times the albedo of each channel, and fluence and flux, each for all uniform albedos and channels,
+        and of light that has not scattered. The density ends at the faces; the light of the outermost cells goes on.
+        solver_of: a solver for an albedo. source: of light. Raises Cancelled.
         """
         n = len(self.density)
         albedos = [*map(float, self.uniform), *self.channels]
-        varying = [len(enclosing) > 1 for enclosing in self.enclosing]
-        used = np.concatenate([own for own, varies in zip(self.enclosing, varying) if varies])
-        needed = [number in used for number in range(len(self.uniform))] + varying
+        varying = [number for number, enclosing in enumerate(self.enclosing) if len(enclosing) > 1]
+        used = {int(uniform) for number in varying for uniform in self.enclosing[number]}
         matter = np.stack([self.density, *(albedo * self.density for albedo in self.channels)], axis=3)
-        light = np.zeros((n, n, n, 4, len(albedos)), np.float32)
-        for number in np.flatnonzero(needed):
-            light[..., number] = np.moveaxis(source.arriving(solver_of(albedos[number]), cancel), 0, -1)
+        light = np.zeros((n, n, n, 4, len(albedos) + 1), np.float32)
+        for number in [*sorted(used), *(len(self.uniform) + number for number in varying)]:
+            solver = solver_of(albedos[number])
+            light[..., number] = np.moveaxis(source.arriving(solver, cancel), 0, -1)
+        if used:
+            light[..., -1] = np.moveaxis(source.unscattered(solver, cancel), 0, -1)
         border = [(1, 1)] * 3 + [(0, 0)]
         light = np.pad(light.reshape(n, n, n, -1), border, mode="edge")
         return np.concatenate([np.pad(matter, border), light], axis=3).astype(np.float32)
