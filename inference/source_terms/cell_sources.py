@@ -52,7 +52,7 @@ class SunBeam:
 
     def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
         """As of CellSource."""
-        return solver.solve(self, cancel) + self._beam(solver.density, solver.sigma)
+        return solver.solve(self, cancel) + self._beam(solver.density, float(solver.sigma))
 
     def unscattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
         """As of CellSource."""
