@@ -305,10 +305,8 @@ class _Bake:
         # The mean over all directions has no flux.
         anisotropy = medium.anisotropy if along is not None else 0.0
         radiance = np.zeros((*wanted.shape, 3), np.float32)
-        for c in range(3):
-            radiance[wanted, c] = emission.scattered(
-                c, positions, np.zeros_like(positions) if along is None else along, anisotropy
-            )
+        directions = np.zeros_like(positions) if along is None else along
+        radiance[wanted] = emission.scattered(range(3), positions, directions, anisotropy).T
         return radiance
 
     def _coefficient(self, v: int, positions: np.ndarray | None) -> np.ndarray:

@@ -38,9 +38,9 @@ def add_scattered_light(
                 continue
             estimate = TileEstimate(context, asked, tile, source, moments)
             estimates.append(estimate)
-            if source.adaptive:
+            if source.estimator.answers:
                 tile.report.count("network points wanted", len(inside))
-            if source.adaptive and "shared_pixels" in context.settings.optimizations:
+            if "shared_pixels" in context.settings.optimizations:
                 evaluate_adaptively(estimate, inside, tile.camera.window, _single(source, tile), _masking(source, tile))
             else:
                 estimate.evaluate(inside)
@@ -49,8 +49,7 @@ def add_scattered_light(
                     tile.framebuffer.single[:, row.channels] += radiance[:, None]
                 elif context.settings.multiple:
                     tile.framebuffer.multiple[:, row.channels] += radiance[:, None]
-            if source.adaptive:
-                tile.framebuffer.uncertainty += estimate.error
+            tile.framebuffer.uncertainty += estimate.error
             tile.framebuffer.deviation += estimate.deviation()
     return estimates
 
@@ -130,7 +129,7 @@ class TileEstimate:
             if estimator.answers:
                 self.report.count("network points", len(within))
                 self.report.count("network answers", len(within) * estimator.answers)
-        if len(points) and source.adaptive:
+        if len(points):
             add_at(self.error, *self.samples.standard_error(parts, points))
 
     def _weight(self, points: np.ndarray, turn: np.ndarray | None) -> np.ndarray:

@@ -63,9 +63,8 @@ class Source:
     factors of world positions and what is added to them, for which the estimator is asked about the first. rows: of
     its light. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest edge of the
     group's voxels. lights: how many suns and lamps share the single scattering that tells where its light varies; 0
-    where that does not tell. adaptive: whether pixels that agree with their neighbours interpolate it.
-    needs_detail: whether its light varies along rays more than nodes of the depth samples tell. masked: whether the
-    light of earlier sources hides its errors.
+    where that does not tell. needs_detail: whether its light varies along rays more than nodes of the depth samples
+    tell. masked: whether the light of earlier sources hides its errors.
     """
 
     groups: Sequence[int]
@@ -76,7 +75,6 @@ class Source:
     voxel: float
     frames: np.ndarray | None = None
     lights: int = 0
-    adaptive: bool = True
     needs_detail: bool = False
     masked: bool = False
 
@@ -408,7 +406,6 @@ def prepare_emission(
                 rows=rows_of(scene, [v], estimator, places, lambda albedo: SCATTERED_EMISSION),
                 varies=volume.scattering is not None,
                 voxel=scene.grids[v].voxel,
-                adaptive=False,
             )
             sources.append(source)
     return sources

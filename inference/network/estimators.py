@@ -235,8 +235,7 @@ class EmissionEstimator(Estimator):
 
     def predict(self, points: LitPoints) -> np.ndarray:
         """Radiance (C, N)."""
-        each = [self.emission.scattered(c, points.positions, points.directions, self.anisotropy) for c in self.channels]
-        return np.stack(each)
+        return self.emission.scattered(self.channels, points.positions, points.directions, self.anisotropy)
 
     def radiance(self, predicted: np.ndarray, points: LitPoints) -> dict[Quantity, np.ndarray]:
         """As of Estimator."""

@@ -139,7 +139,7 @@ class EveryLightPredictor(Predictor, Protocol):
     def varying_albedo(
         self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL
     ) -> tuple[CoarseAlbedo, np.ndarray]:
-        """The albedo of a volume in which it varies, and its `CoarseAlbedo.places` in a light."""
+        """The albedo of a volume in which it varies, and `CoarseAlbedo.light` in it."""
 
 
 class PreparedPrediction(Protocol):

@@ -230,9 +230,17 @@ class VolumePredictor:
         if self.volume.scattering is None or not self._predictor.respects_albedo:
             return UniformAlbedos(distinct_albedos(medium, list(indices), optimizations))
         conditions = self._conditions(sigma_t, light, occluders)
-        coarse, places = self._every_light.varying_albedo(conditions, tasks)
-        ahead = self.anisotropy * mean_free_path(coarse.density, conditions.sigma_hat)
-        return VaryingAlbedos(coarse.uniform.tolist(), coarse.enclosing, places, self.cube, indices, ahead)
+        coarse, solved = self._every_light.varying_albedo(conditions, tasks)
+        return VaryingAlbedos(
+            values=coarse.uniform.tolist(),
+            enclosing=coarse.enclosing,
+            light=solved,
+            cube=self.cube,
+            indices=indices,
+            sigma_hat=conditions.sigma_hat,
+            anisotropy=self.anisotropy,
+            free_path=mean_free_path(coarse.density, conditions.sigma_hat),
+        )
 
     @property
     def lamp_radius(self) -> float:

@@ -143,7 +143,7 @@ class RayPredictor(Predictor):
         """Hold nothing of any light."""
         self._solved: dict[Hashable, _Solved] = {}
         self._environment: _SolvedEnvironment | None = None
-        self._places: dict[Hashable, np.ndarray] = {}
+        self._coloured: dict[Hashable, np.ndarray] = {}
 
     def at(self, cube: Cube) -> "RayPredictor":
         """As of Predictor."""
@@ -272,21 +272,21 @@ class RayPredictor(Predictor):
     def varying_albedo(
         self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL
     ) -> tuple[CoarseAlbedo, np.ndarray]:
-        """The albedo of a volume in which it varies, and its `CoarseAlbedo.places` in a light. Raises Cancelled."""
+        """The albedo of a volume in which it varies, and `CoarseAlbedo.light` in it. Raises Cancelled."""
         cancel, key = tasks.cancel, conditions.key
         with cancel.locked(self._lock):
             if self._shared.albedo is None:
                 self._shared.albedo = CoarseAlbedo(self.volume, self.cube, self.coarse, cancel)
             known = self._shared.albedo
-            if key not in self._places:
-                if len(self._places) >= MAX_LATTICES:
-                    self._places.clear()
-                self._places[key] = known.places(
+            if key not in self._coloured:
+                if len(self._coloured) >= MAX_LATTICES:
+                    self._coloured.clear()
+                self._coloured[key] = known.light(
                     lambda albedo: known.solver(conditions.sigma_hat, self.anisotropy, conditions.triangles, albedo),
                     conditions.light.source(len(known.density)),
                     cancel,
                 )
-            return known, self._places[key]
+            return known, self._coloured[key]
 
     def _solve(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
         """The transport of a light, solved once."""

@@ -12,7 +12,8 @@ def pad_with_zeros(grid: np.ndarray) -> np.ndarray:
 def sample_padded(padded: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Trilinear interpolation at continuous indices of the unpadded grid; 0 from one voxel beyond it.
 
-    padded: float32 from `pad_with_zeros`; index: float32 (3, N), one row per axis. Returns float32 (N,).
+    padded: float32 from `pad_with_zeros`, or (nx + 3, ny + 3, nz + 3, K) of K values each. index: float32 (3, N), one
+    row per axis. Returns float32 (N,) or (N, K).
     """
     base: np.ndarray | int = 0
     fractions = []
@@ -21,14 +22,14 @@ def sample_padded(padded: np.ndarray, index: np.ndarray) -> np.ndarray:
         position = at + np.float32(1.0)
         np.clip(position, np.float32(0.0), np.float32(size - 2), out=position)
         cell = position.astype(np.int32)
-        fractions.append(np.subtract(position, cell, out=position))
+        fractions.append(np.subtract(position, cell, out=position).reshape(-1, *[1] * (padded.ndim - 3)))
         base = base * np.intp(size) + cell
     fx, fy, fz = fractions
-    flat = padded.reshape(-1)
+    flat = padded.reshape(-1, *padded.shape[3:])
     step_y, step_x = padded.shape[2], padded.shape[1] * padded.shape[2]
 
     def edge(offset: int) -> np.ndarray:
-        low, high = flat[offset:].take(base), flat[offset + 1 :].take(base)
+        low, high = flat[offset:].take(base, axis=0), flat[offset + 1 :].take(base, axis=0)
         return lerp_into(low, high, fz)
 
     y0 = lerp_into(edge(0), edge(step_y), fy)

@@ -11,12 +11,13 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
 from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES, SIDES, STEPS, solid_angles
+from .lamp_beam import CubeCells
 
 # Cells whose beams are found at once: few enough for matrix products that stay on this thread.
 BEAMS_PER_BLOCK = 1024
 
 # Mean of a lamp's unscattered light over each cell of a solver, (x, y, z), and unit vectors (3, x, y, z) towards it.
-Beam = Callable[[DiscreteOrdinates, CancelToken], tuple[np.ndarray, np.ndarray]]
+Beam = Callable[[DiscreteOrdinates | CubeCells, CancelToken], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -49,14 +50,18 @@ class SunBeam:
         visibility = self.visibility
         return replace(self, visibility=solver.means(visibility)) if isinstance(visibility, np.ndarray) else self
 
-    def scattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As of CellSource: light in the phase function's forward peak has scattered, too."""
-        unscattered = self.visibility * np.exp(-solver.sigma * self._depth(solver.density))
-        ballistic = self.visibility * np.exp(-np.float32(solver.sigma_hat) * self._depth(solver.matter))
-        return solver.solve(self, cancel)[0] + np.maximum(unscattered - ballistic, 0.0)
+    def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        return solver.solve(self, cancel) + self._beam(solver.density, float(solver.sigma))
 
-    def _depth(self, density: np.ndarray) -> np.ndarray:
-        return sun_optical_depth(density, self.direction, 1.0 / len(density))
+    def unscattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        return self._beam(solver.matter, solver.sigma_hat)
+
+    def _beam(self, density: np.ndarray, sigma: float) -> np.ndarray:
+        """Fluence and flux at the middles of cells, of an extinction for density 1."""
+        depth = sun_optical_depth(density, self.direction, 1.0 / len(density))
+        return _flowing(self.visibility * np.exp(-np.float32(sigma) * depth), -self.direction.reshape(3, 1, 1, 1))
 
     def _phase(self, solver: DiscreteOrdinates, steps: np.ndarray) -> np.ndarray:
         """Henyey-Greenstein phase function (D,) of the beam along steps (D, 3)."""
@@ -78,6 +83,16 @@ class LampBeam(CellSource):
         if solver.varies:
             beams *= solver.albedo
         return solver.sweeps.followers(fields.source, fields.swept, beams=beams)
+
+    def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        light, towards = self.beam(solver, cancel)
+        return solver.solve(self, cancel) + _flowing(light, -towards)
+
+    def unscattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of CellSource."""
+        light, towards = self.beam(CubeCells(solver.matter, solver.sigma_hat), cancel)
+        return _flowing(light, -towards)
 
 
 @dataclass(frozen=True)
@@ -103,6 +118,11 @@ class EnteringLight(CellSource):
             nearest = np.rint(np.arange(n) * (most / (n - 1))).astype(int)
             visible = visible[np.ix_(range(len(visible)), *[nearest] * 3)]
         return solver.sweeps.followers(fields.source, fields.swept, entering=entering, visible=visible)
+
+
+def _flowing(light: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Fluence and flux, float32 (4, x, y, z), of light (x, y, z) that goes along unit vectors, (3, x, y, z) or one."""
+    return np.concatenate([light[None], light * along]).astype(np.float32)
 
 
 def scattered_beams(light: np.ndarray, towards: np.ndarray, anisotropy: float) -> np.ndarray:

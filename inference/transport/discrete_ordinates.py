@@ -89,9 +89,13 @@ class CellSource(Protocol):
         """The same for cells twice as large."""
         return self
 
-    def scattered(self, solver: "DiscreteOrdinates", cancel: CancelToken = NEVER) -> np.ndarray:
-        """Fluence (x, y, z) of all of its light that has scattered. Raises Cancelled."""
-        return solver.solve(self, cancel)[0]
+    def arriving(self, solver: "DiscreteOrdinates", cancel: CancelToken = NEVER) -> np.ndarray:
+        """Fluence and flux, float32 (4, x, y, z), of all of its light, beams included. Raises Cancelled."""
+        return solver.solve(self, cancel)
+
+    def unscattered(self, solver: "DiscreteOrdinates", cancel: CancelToken = NEVER) -> np.ndarray:
+        """As `arriving`, of a beam that has not scattered, not even within the forward peak. Raises Cancelled."""
+        return np.zeros((4, *solver.density.shape), np.float32)
 
 
 class DiscreteOrdinates:

@@ -9,12 +9,17 @@ far. The part of the fluence that a sweep still lacks follows from a diffusion e
     D = 1 / (3 sigma_tr),    sigma_tr = sigma_a + sigma_s',
 
 so that three sweeps suffice where light scatters a hundred times (diffusion synthetic acceleration). The fluence phi
-and the flux J of the radiance are stored, and a point scatters towards the camera, along -omega,
+and the flux J of the radiance are stored. The forward peak of the phase function scatters what arrives from ahead on
+the camera ray, Q, and a point scatters along -omega, times its albedo,
 
-    albedo / (4 pi) (phi - 3 G J . omega).
+    G^2 Q + (1 - G^2) (phi - 3 G' J . omega) / (4 pi),    G' = G / (1 + G).
+
+Q is what cells ahead emit and scatter beside the peak, dimmed by the extinction without the peak's. Far from the point,
+larger cells are read.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +28,9 @@ from ..grids.merge import resampled
 from ..numerics.interpolation import sample_padded
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium
+from ..scene.phase_function import reduced_anisotropy
 from .diffusion import THIN, couple, solve
+from .mean_free_path import light_ahead
 from .radiance_sweep import sweep_radiance
 
 # Cells along the longest edge of the box around the volumes.
@@ -34,15 +41,34 @@ ROUNDS = 3
 # Reduced optical thickness of a cell above which the light varies within cells.
 THICK = 1.0
 
-# Absorption, reduced scattering and normalised emission of a channel, and their fluence and flux.
-Solved = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+# Ends of the parts of a ray on which light is gathered, in cells, and the level that is read there.
+ENDS = (0.5, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 28.0, 56.0)
+LEVELS = (0, 0, 0, 1, 1, 2, 2, 3, 3)
+# Lower bound of the light scattered towards the camera over that of isotropic scattering.
+MIN_SHARE = 0.02
+
+
+class Light(NamedTuple):
+    """Of a channel, for emission that sums to 1.
+
+    field: float32 (x + 3, y + 3, z + 3, 4), fluence and flux, padded for `sample_padded`. levels: float32 (..., 6)
+    each, padded alike, the first of these cells and each other of cells twice as large: extinction without the forward
+    peak's, 4 pi times emission, and the fluence and flux that scatter beside the peak.
+    """
+
+    field: np.ndarray
+    levels: list[np.ndarray]
+
+
+# Extinction, scattering times powers 0 to 2 of the mean cosine, and normalised emission of a channel.
+Terms = tuple[np.ndarray, ...]
 
 
 class ScatteredEmission:
     """Fluence and flux of the light that some volumes emit, in three colour channels.
 
-    grids, media: Grid and Medium of each volume. thickest: largest reduced optical
-    thickness of a cell. Raises Cancelled.
+    grids, media: Grid and Medium of each volume. lights: of each channel, a Light and its factor, or None without any.
+    thickest: largest reduced optical thickness of a cell. Raises Cancelled.
     """
 
     def __init__(
@@ -64,46 +90,58 @@ class ScatteredEmission:
             [resampled(grid, part, frame, shape, cancel).astype(np.float64) for part in grid.scattering]
             for grid in grids
         ]
-        solved: list[Solved] = []
-        self.fields: list[np.ndarray | None] = []
+        solved: list[tuple[Terms, Light]] = []
+        self.lights: list[tuple[Light, float] | None] = []
         for c in range(3):
-            extinction, scattering, reduced, emission = np.zeros((4, *shape))
+            emission = np.zeros(shape)
+            # Extinction, and scattering times powers of the mean cosine.
+            extinction, *powers = np.zeros((4, *shape))
             for medium, density, varying in zip(media, densities, scattered):
                 extinction += medium.sigma_t[c] * density
                 albedo, part = medium.albedo[c], density
                 if varying:
                     albedo, part = 1.0, varying[c if len(varying) == 3 else 0]
-                scattering += medium.sigma_t[c] * albedo * part
-                reduced += medium.sigma_t[c] * albedo * (1.0 - medium.anisotropy) * part
+                for power, values in enumerate(powers):
+                    values += medium.sigma_t[c] * albedo * medium.anisotropy**power * part
             for grid, medium in zip(grids, media):
                 if grid.emission:
                     emission += medium.emission * resampled(
                         grid, grid.emission[c], frame, shape, cancel, grid.emission_power
                     )
-            self.fields.append(self._field(solved, np.maximum(extinction - scattering, 0.0), reduced, emission, cancel))
+            self.lights.append(self._light(solved, extinction, powers, emission, cancel))
 
-    def _field(
+    def _light(
         self,
-        solved: list[Solved],
-        absorption: np.ndarray,
-        reduced: np.ndarray,
+        solved: list[tuple[Terms, Light]],
+        extinction: np.ndarray,
+        powers: list[np.ndarray],
         emission: np.ndarray,
         cancel: CancelToken,
-    ) -> np.ndarray | None:
-        """Fluence and flux, (4, ...) padded for `sample_padded`, or None where nothing is emitted or scattered.
+    ) -> tuple[Light, float] | None:
+        """Light and its factor, or None where nothing is emitted or scattered.
 
-        absorption, reduced, emission: (x, y, z), coefficients and emission of a channel. solved: terms and solutions of
-        earlier channels, extended; reused where the emission is proportional, because light is linear.
+        extinction, emission: (x, y, z), of a channel. powers: scattering times powers 0 to 2 of the mean cosine.
+        solved: terms and solutions of earlier channels, extended; reused where the emission is proportional, because
+        light is linear.
         """
-        total = emission.sum()
-        if not total > 0.0 or not reduced.any():
+        total = float(emission.sum())
+        scattering, once, twice = powers
+        if not total > 0.0 or not (scattering - once).any():
             return None
-        asked = absorption, reduced, emission / total
-        known = next((field for terms, field in solved if all(map(_close, terms, asked))), None)
+        asked = extinction, *powers, emission / total
+        known = next((light for terms, light in solved if all(map(_close, terms, asked))), None)
         if known is None:
-            known = self._solve(*asked, cancel)
+            field = self._solve(np.maximum(extinction - scattering, 0.0), scattering - once, emission / total, cancel)
+            fluence, *flux = np.moveaxis(field[1:-2, 1:-2, 1:-2], -1, 0)
+            beside = [(scattering - twice) * fluence, *(3.0 * (once - twice) * along for along in flux)]
+            cells = np.stack([extinction - twice, 4.0 * np.pi / total * emission, *beside], axis=3).astype(np.float32)
+            levels = []
+            for _ in range(1 + max(LEVELS)):
+                levels.append(np.pad(cells, [(1, 2)] * 3 + [(0, 0)]))
+                cells = _halved(cells)
+            known = Light(field, levels)
             solved.append((asked, known))
-        return known * np.float32(total)
+        return known, total
 
     def _solve(
         self, absorption: np.ndarray, reduced: np.ndarray, emission: np.ndarray, cancel: CancelToken
@@ -132,8 +170,8 @@ class ScatteredEmission:
         # The flux of diffusion may exceed that of all light in one direction, which is the largest possible.
         flux *= np.minimum(fluence / np.maximum(np.linalg.norm(flux, axis=0), 1e-30), 1.0)
         # Constant beyond the centres of the outermost cells.
-        values = np.concatenate([fluence[None], flux])
-        return np.pad(values, [(0, 0), (1, 2), (1, 2), (1, 2)], mode="edge").astype(np.float32)
+        values = np.moveaxis(np.concatenate([fluence[None], flux]), 0, -1)
+        return np.pad(values, [(1, 2)] * 3 + [(0, 0)], mode="edge").astype(np.float32)
 
     def warnings(self, name: str) -> list[str]:
         """Limits of accuracy that the medium exceeds; name: of the volumes, for messages."""
@@ -144,18 +182,52 @@ class ScatteredEmission:
             "a lower Density makes it more accurate"
         ]
 
-    def scattered(self, c: int, positions: np.ndarray, directions: np.ndarray, anisotropy: float) -> np.ndarray:
-        """Radiance (N,) in channel c that an albedo of 1 scatters towards the camera.
+    def scattered(
+        self, channels: Sequence[int], positions: np.ndarray, directions: np.ndarray, anisotropy: float
+    ) -> np.ndarray:
+        """Radiance float32 (C, N) in some colour channels that an albedo of 1 scatters towards the camera.
 
         positions: (N, 3) in the world. directions: (N, 3) of the camera rays. anisotropy: G.
         """
-        field = self.fields[c]
-        if field is None:
-            return np.zeros(len(positions), np.float32)
-        index = ((positions - self.first) / self.cell).T.astype(np.float32)
-        fluence, *flux = (sample_padded(values, index) for values in field)
-        along = sum(flux_axis * directions[:, axis] for axis, flux_axis in enumerate(flux))
-        return np.maximum(fluence - 3.0 * anisotropy * along, 0.0) / (4.0 * np.pi)
+        index, along = ((positions - self.first) / self.cell).T.astype(np.float32), directions.T.astype(np.float32)
+        found, known = np.zeros((len(channels), len(positions)), np.float32), dict[int, np.ndarray]()
+        for row, c in zip(found, channels):
+            light = self.lights[c]
+            if light is not None:
+                if id(light[0]) not in known:
+                    known[id(light[0])] = self._scattered(light[0], index, along, anisotropy)
+                row[:] = known[id(light[0])] * np.float32(light[1])
+        return found
+
+    def _scattered(self, light: Light, index: np.ndarray, along: np.ndarray, anisotropy: float) -> np.ndarray:
+        """Radiance (N,) of emission that sums to 1; index, along: (3, N), in cells."""
+        forward, factor = anisotropy**2, np.float32(3.0 * reduced_anisotropy(anisotropy))
+        here = sample_padded(light.field, index)
+        radiance = _towards(here[:, 0], factor * here[:, 1:], along)
+        if forward > 0.0:
+
+            def read(number: int, distance: float) -> tuple[np.ndarray, np.ndarray]:
+                level = LEVELS[number]
+                at = (index + np.float32(distance) * along + np.float32(0.5)) / np.float32(2**level) - np.float32(0.5)
+                values = sample_padded(light.levels[level], at) * np.float32(self.cell)
+                return values[:, 0], values[:, 1] + _towards(values[:, 2], values[:, 3:], along)
+
+            radiance = (1.0 - forward) * radiance + forward * light_ahead(read, ENDS)
+        return radiance / (4.0 * np.pi)
+
+
+def _towards(fluence: np.ndarray, flux: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """4 pi times the light (N,) that is scattered towards the camera; flux: (N, 3), along: (3, N)."""
+    return np.maximum(fluence - (flux * along.T).sum(axis=1), MIN_SHARE * fluence)
+
+
+def _halved(cells: np.ndarray) -> np.ndarray:
+    """Means (..., K) of 2 x 2 x 2 cells (x, y, z, K); outside there is nothing."""
+    cells = np.pad(cells, [*((0, n % 2) for n in cells.shape[:3]), (0, 0)])
+    for axis in range(3):
+        cells = np.moveaxis(cells, axis, 0)
+        cells = np.moveaxis(0.5 * (cells[::2] + cells[1::2]), 0, axis)
+    return np.ascontiguousarray(cells)
 
 
 def _close(a: np.ndarray, b: np.ndarray) -> bool:

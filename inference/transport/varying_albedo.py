@@ -3,13 +3,9 @@
 
 Networks know uniform albedos. Where the albedo varies, light that has scattered many times has met many of them, and
 what a point receives is that of a uniform albedo in between. The coarse transport tells which: it is solved for the
-albedo as it varies and for a few uniform ones, and at each point the two of these are taken between which its fluence
-lies. With L_k the prediction for uniform albedo k and phi_k its fluence,
-
-    log L = log L_k + f (log L_(k+1) - log L_k),    f = (log phi - log phi_k) / (log phi_(k+1) - log phi_k).
-
-The point is one ahead on the camera ray (`network.albedos`). Where the albedo is uniform after all this is exact,
-whatever the transport is worth.
+albedo as it varies and for a few uniform ones. `network.albedos` takes the two of these between which the light lies
+that a point scatters towards the camera. Where the albedo is uniform after all this is exact, whatever the transport is
+worth.
 """
 
 from collections.abc import Callable
@@ -32,8 +28,6 @@ SAME = 1e-5
 LOWEST = 0.02
 # Cells of less than this part of the largest density do not widen the range of albedos.
 NEGLIGIBLE = 1e-3
-# Fluences below this are equal.
-MIN_FLUENCE = 1e-12
 
 
 class CoarseAlbedo:
@@ -70,31 +64,29 @@ class CoarseAlbedo:
         """Solver for an albedo, a number or (n, n, n); arguments as of DiscreteOrdinates."""
         return DiscreteOrdinates(self.density, sigma_hat, anisotropy, triangles, albedo)
 
-    def places(
+    def light(
         self, solver_of: Callable[..., DiscreteOrdinates], source: CellSource, cancel: CancelToken = NEVER
     ) -> np.ndarray:
-        """Where the albedo lies among those enclosing it, seen through all scattering, in [0, L - 1].
+        """What `network.albedos` reads: float32 (n + 2, n + 2, n + 2, 1 + C + 4 (K + C + 1)) of C = 1 or 3 channels.
 
-        float32 (n + 2, n + 2, n + 2, C) of C = 1 or 3 channels, the outermost cells repeated once beyond each face.
+        Density, that times the albedo of each channel, and fluence and flux, each for all uniform albedos and channels,
+        and of light that has not scattered. The density ends at the faces; the light of the outermost cells goes on.
         solver_of: a solver for an albedo. source: of light. Raises Cancelled.
         """
-        n, uniform = len(self.density), {}
-        places = np.zeros((n, n, n, len(self.channels)), np.float32)
-        for c, (albedo, enclosing) in enumerate(zip(self.channels, self.enclosing)):
-            if len(enclosing) == 1:
-                continue
-            for number in enclosing:
-                if number not in uniform:
-                    uniform[number] = _logarithm(source.scattered(solver_of(float(self.uniform[number])), cancel))
-            # More is never less, whatever the solver's accuracy.
-            known = np.maximum.accumulate([uniform[number] for number in enclosing], axis=0)
-            here = _logarithm(source.scattered(solver_of(albedo), cancel))
-            for below, above in zip(known[:-1], known[1:]):
-                places[..., c] += np.clip((here - below) / np.maximum(above - below, 1e-6), 0.0, 1.0)
-            # Where no light comes the albedo is what it is there.
-            dark = known[-1] <= np.log(MIN_FLUENCE)
-            places[dark, c] = np.interp(albedo[dark], self.uniform[enclosing], np.arange(float(len(enclosing))))
-        return np.pad(places, [(1, 1)] * 3 + [(0, 0)], mode="edge")
+        n = len(self.density)
+        albedos = [*map(float, self.uniform), *self.channels]
+        varying = [number for number, enclosing in enumerate(self.enclosing) if len(enclosing) > 1]
+        used = {int(uniform) for number in varying for uniform in self.enclosing[number]}
+        matter = np.stack([self.density, *(albedo * self.density for albedo in self.channels)], axis=3)
+        light = np.zeros((n, n, n, 4, len(albedos) + 1), np.float32)
+        for number in [*sorted(used), *(len(self.uniform) + number for number in varying)]:
+            solver = solver_of(albedos[number])
+            light[..., number] = np.moveaxis(source.arriving(solver, cancel), 0, -1)
+        if used:
+            light[..., -1] = np.moveaxis(source.unscattered(solver, cancel), 0, -1)
+        border = [(1, 1)] * 3 + [(0, 0)]
+        light = np.pad(light.reshape(n, n, n, -1), border, mode="edge")
+        return np.concatenate([np.pad(matter, border), light], axis=3).astype(np.float32)
 
 
 def _enclosing(ends: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -117,10 +109,6 @@ def _cells(values: np.ndarray) -> np.ndarray:
         halve(np.ascontiguousarray(values, np.float32), means)
         values = means
     return values
-
-
-def _logarithm(fluence: np.ndarray) -> np.ndarray:
-    return np.log(np.maximum(fluence.astype(np.float64), MIN_FLUENCE))
 
 
 def between(rows: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -8,6 +8,9 @@ from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.grids.grid import Grid
 from inference.transport.radiance_sweep import sweep_radiance
 from inference.transport.scattered_emission import ScatteredEmission
+from training.tracer.density_grid import prepare
+from training.tracer.light_paths import AlbedoField, Lights, LitMedium, trace_lights
+from training.tracer.scene import Sampling
 
 SETTINGS = Settings(depth_samples=16)
 
@@ -93,7 +96,7 @@ def test_a_small_emitter_in_thin_fog_equals_a_direct_sum():
     lit = np.argwhere(r < 0.08)
     away = np.linalg.norm(points[:, None] - ((lit + 0.5) / 48 - 0.5)[None], axis=2)
     expected = 50.0 / 48**3 * (np.exp(-sigma * away) / away**2).sum(axis=1)
-    found = 4.0 * np.pi * glow.scattered(1, points, directions, 0.0)
+    found = 4.0 * np.pi * glow.scattered([1], points, directions, 0.0)[0]
     assert np.median(found / expected) == pytest.approx(1.0, abs=0.1)
     assert np.sqrt(((found / expected - 1.0) ** 2).mean()) < 0.25
 
@@ -125,3 +128,28 @@ def test_it_adds_to_sunlight_and_can_be_turned_off():
     np.testing.assert_allclose(both.multiple, glow.multiple + dark.multiple, rtol=1e-3, atol=1e-6)
     without = render([(fog, medium)], [sun], view, Settings(depth_samples=16, multiple=False))
     assert not without.multiple.any() and without.emission.any()
+
+
+@pytest.mark.parametrize("anisotropy", [0.0, 0.857])
+def test_a_flame_in_smoke_is_scattered_as_by_traced_paths(anisotropy):
+    """A narrow phase function scatters towards the camera what arrives from ahead, from the flame itself too."""
+    sigma, axis = 10.0, (np.arange(48) + 0.5) / 48 - 0.5
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    smoke = np.clip(2.2 - 5.0 * radius(48), 0.0, 1.0).astype(np.float32)
+    flame = np.exp(-((x - 0.1) ** 2 + y**2 + (z + 0.05) ** 2) / 0.07**2).astype(np.float32)
+    random = np.random.default_rng(4)
+    directions = random.normal(size=(160, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = random.uniform(-0.25, 0.25, (160, 3))
+    nothing = np.zeros((0, 3)), (), np.zeros((0, 2, 4), np.float32)
+    medium = LitMedium(sigma, anisotropy, AlbedoField(np.full(1, 0.9), np.full(1, 0.9)))
+    halves = []
+    for seed in range(2):
+        lights = Lights(*nothing, flame[..., None])
+        often, once = trace_lights(prepare(smoke), lights, medium, (points, directions), Sampling(512, seed))
+        halves.append(often[:, 0, 0] + once[:, 0])
+    glow = ScatteredEmission([Grid(fire(smoke, flame))], [Medium(sigma, 0.9, anisotropy)])
+    found, mean = glow.scattered([1], points, directions, anisotropy)[0], np.mean(halves)
+    error = np.sqrt(max(((found - halves[0]) * (found - halves[1])).mean(), 0.0)) / mean
+    assert error < 0.25
+    assert found.mean() == pytest.approx(mean, rel=0.06)
