@@ -43,9 +43,8 @@ zip from the menu of the Blender icon: *Install Application Template*. *File > N
 
 The smaller pictures compare with Cycles with 1024 bounces, denoised, in about the same processor seconds. Cycles has at
 least one sample per pixel, even where that takes longer. Errors are relative RMSE over the whole picture, in
-scene-linear values, against a longer render by Cycles without denoising. Cycles blurs edges by its pixel filter. The
-extension has none, so the difference counts as its error. In thin fog and haze, where light scatters few times, Cycles
-errs as little.
+scene-linear values, against a longer render by Cycles without denoising. In thin fog and haze, where light scatters few
+times, Cycles errs as little.
 """
 
 

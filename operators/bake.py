@@ -28,7 +28,11 @@ from ..mrpnn_addon.runtime.text import report
 from ..mrpnn_addon.scene.kept_frame import kept_frame
 from ..mrpnn_addon.scene.reader import SceneDescription, read_frame
 from ..mrpnn_addon.settings.properties import RELATIVE_PATH, scene_settings
+from ..mrpnn_addon.status.calibration import calibrate_by_bake
+from ..mrpnn_addon.status.forecast import BakeForecast, forecast_bake
+from ..mrpnn_addon.status.lacking import lacking
 from ..mrpnn_addon.status.recommendation import LAYER, recommend
+from ..mrpnn_addon.volumes.reader import VolumeReader
 from .modal_job import RunsWorkers
 from .waiting import SceneLoading
 
@@ -65,11 +69,14 @@ class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
     )
 
     _loading: SceneLoading | None = None
+    _description: SceneDescription
+    _expected: BakeForecast | None
+    _baked: BakedScene
 
     def execute(self, context: "bpy.types.Context") -> set[str]:
         """Bake while Blender waits."""
         try:
-            self._description = read_frame(context.evaluated_depsgraph_get())
+            self._describe(context)
             self._baked = bake_scene(self._description, self._settings(context), self._target(context.scene))
         except (SceneError, OSError) as error:
             return self.fail(error)
@@ -91,9 +98,14 @@ class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
             self._loading = SceneLoading(context)
             if self._loading.worker is not None:
                 return self._loading.worker
-        self._description = read_frame(context.evaluated_depsgraph_get(), self._loading.reader)
+        self._describe(context, self._loading.reader)
         self._loading = None
         return BakeJob(self._description, self._settings(context), self._target(context.scene))
+
+    def _describe(self, context: "bpy.types.Context", reader: VolumeReader | None = None) -> None:
+        depsgraph = context.evaluated_depsgraph_get()
+        self._description = read_frame(depsgraph, reader)
+        self._expected = forecast_bake(depsgraph, self.directional)
 
     def _settings(self, context: "bpy.types.Context") -> Settings:
         return replace(scene_settings(context.scene).settings(), directional=self.directional)
@@ -113,8 +125,11 @@ class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
         elif not baked.volumes:
             report(self, "INFO", "the light of every volume is up to date")
         else:
+            learn_from_bake(baked, self._expected)
             what = f"baked the light of {_count(baked.volumes)} in {baked.seconds:.1f} s"
             report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
+            if sentence := lacking(context.evaluated_depsgraph_get()):
+                report(self, "INFO", sentence)
         return {"FINISHED"}
 
 
@@ -188,7 +203,8 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
     def finish(self, context: "bpy.types.Context") -> set[str]:
         """Show the light."""
         frames = self._sequence.frames
-        if any(one.volumes for one in frames):
+        shows_light = any(one.volumes for one in frames)
+        if shows_light:
             show_sequence(context.scene, frames)
         for warning in dict.fromkeys(warning for one in frames for warning in one.warnings):
             report(self, "WARNING", warning)
@@ -196,7 +212,10 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         what = f"baked the light of {len(self._seconds)} of {len(frames)} frames; the others have not changed"
         if len(self._seconds) == len(frames):
             what = f"baked the light of {len(frames)} frames"
-        report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
+        if shows_light:
+            report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
+        else:
+            report(self, "INFO", "no frame shows a volume, so there is no light to bake")
         return {"FINISHED"}
 
     def _prepare(self, scene: "bpy.types.Scene") -> None:
@@ -260,6 +279,12 @@ def is_sun(shown_object: "bpy.types.Object") -> bool:
     """Whether a light is a sun, whose single scattering has little noise in Cycles."""
     light: Any = shown_object.data
     return light.type == "SUN"
+
+
+def learn_from_bake(baked: BakedScene, expected: BakeForecast | None) -> None:
+    """Let further estimates know how long a bake took, unless it left out volumes that had not changed."""
+    if expected is not None and baked.seconds and {one.name for one in baked.volumes} == set(baked.names):
+        calibrate_by_bake(expected.work, expected.threads, baked.seconds)
 
 
 def changed_settings(scene: "bpy.types.Scene") -> str:

@@ -140,8 +140,8 @@ def _parser() -> argparse.ArgumentParser:
             "--progress",
             choices=("text", "json"),
             default="text",
-            help="json: one object per line on standard output; its event is progress, warning, skipped, frame, saved, "
-            "report, comparison, error or end",
+            help="json: one object per line on standard output; its event is progress, warning, estimate, skipped, "
+            "frame, saved, report, comparison, error or end",
         )
         choices = {"model": available_models(), "provider": list(PROVIDERS)}
         for name, kind, metavar in (

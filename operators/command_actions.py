@@ -24,7 +24,8 @@ from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_imag
 from ..mrpnn_addon.runtime.atomic_write import make_folder
 from ..mrpnn_addon.scene.reader import SceneDescription
 from ..mrpnn_addon.settings.properties import scene_settings
-from .bake import bake_warnings, light_frames, make_fast
+from ..mrpnn_addon.status.forecast import forecast_bake
+from .bake import bake_warnings, learn_from_bake, light_frames, make_fast
 from .command_flipbook import render_flipbook
 from .command_frames import each_frame, frame_reader, require_none
 from .console import Console
@@ -107,9 +108,14 @@ def bake(options: argparse.Namespace, console: Console, found: dict) -> None:
 
         def work(frame: int) -> dict:
             description = read(frame)
+            expected = forecast_bake(bpy.context.evaluated_depsgraph_get(), settings.directional)
+            if expected is not None and not sequence.frames:
+                said = f"baking frame {frame} takes {expected}"
+                console.event("estimate", said, frame=frame, seconds=round(expected.seconds, 1))
             one = sequence.add(bake_scene(description, settings, sequence.target, console.progress(frame)))
             for warning in dict.fromkeys(one.warnings + bake_warnings(description)):
                 console.event("warning", warning, frame=frame, message=warning)
+            learn_from_bake(one, expected)
             files = {light.name: light.path for light in one.volumes}
             facts = {"frame": frame, "files": files, "seconds": one.seconds, "warnings": one.warnings}
             done = f"baked frame {frame} in {one.seconds:.1f} s" if one.seconds else f"frame {frame} has not changed"
@@ -176,7 +182,7 @@ def report(options: argparse.Namespace, console: Console, found: dict) -> None:
         scene.frame_set(options.frame)
     with _overridden(options) as settings:
         description = frame_reader(options, [scene.frame_current])(scene.frame_current)
-        plan = description.plan(settings)
+        plan, bakes = description.plan(settings), forecast_bake(bpy.context.evaluated_depsgraph_get())
     width, height = description.camera.resolution
     found["plan"] = {
         "frame": description.frame,
@@ -187,6 +193,7 @@ def report(options: argparse.Namespace, console: Console, found: dict) -> None:
         "left_out": plan.left_out if plan else [],
         "warnings": description.warnings,
         "memory": plan.memory if plan else 0,
+        "bake_seconds": round(bakes.seconds, 1) if bakes else 0.0,
     }
     memory = f"{found['plan']['memory'] / 2**30:.1f} GiB of memory"
     lines = [f"frame {description.frame}, {width} x {height} pixels, about {memory}"]
@@ -197,6 +204,7 @@ def report(options: argparse.Namespace, console: Console, found: dict) -> None:
     lines += [f"  {light.name}" for light in description.lights]
     lines += [f"  renders {sentence}" for sentence in found["plan"]["planned"]]
     lines += [f"  leaves out {sentence}" for sentence in found["plan"]["left_out"]]
+    lines += [f"  baking its light takes {bakes}"] if bakes else []
     for warning in description.warnings:
         console.event("warning", warning, message=warning)
     console.event("report", "\n".join(lines), **found["plan"])

@@ -10,6 +10,8 @@ from ..mrpnn_addon.nodes.material import shows_volume
 from ..mrpnn_addon.objects.animation import with_instanced
 from ..mrpnn_addon.output.composite import composite, composite_state, remove_composite
 from ..mrpnn_addon.runtime.text import report
+from ..mrpnn_addon.scene.reader import NO_VOLUME
+from ..mrpnn_addon.world.lighting import fog_warnings
 
 
 class MRPNN_OT_composite(bpy.types.Operator):
@@ -37,7 +39,7 @@ class MRPNN_OT_composite(bpy.types.Operator):
             report(self, "ERROR", f'this scene renders the volumes of scene "{surfaces.name}"; composite there')
             return {"CANCELLED"}
         if not any(shows_volume(shown) for shown in with_instanced(scene.collection.all_objects)):
-            report(self, "ERROR", "the scene has no Volume object; add one (Add > Volume > Import OpenVDB)")
+            report(self, "ERROR", "; ".join([NO_VOLUME, *fog_warnings(scene.world)]))
             return {"CANCELLED"}
         try:
             composite(scene, self.shadows)

@@ -12,8 +12,8 @@ from ..mrpnn_addon.runtime.text import safe_text
 class Console:
     """Writes to stdout; warnings and errors of the text form go to stderr.
 
-    machine: whether to write JSON, one object per line, with an "event": "progress", "warning", "frame", "skipped",
-    "report", "comparison", "error" or "end".
+    machine: whether to write JSON, one object per line, with an "event": "progress", "warning", "estimate", "frame",
+    "skipped", "report", "comparison", "error" or "end".
     """
 
     def __init__(self, machine: bool) -> None:

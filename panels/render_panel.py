@@ -7,7 +7,7 @@ import bpy
 
 from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
 from ..mrpnn_addon.output.composite import composite_state
-from ..mrpnn_addon.runtime.text import label
+from ..mrpnn_addon.runtime.text import duration, label
 from ..mrpnn_addon.scene.changes import scene_state
 from ..mrpnn_addon.scene.unrendered import Unrendered, in_composite, unrendered
 from ..mrpnn_addon.settings.preferences import machine
@@ -91,7 +91,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
                 draw_text(context, layout, "Only emission is visible; add a light with Add > Light", "INFO")
             else:
                 about = "Roughly" if expected.rough else "About"
-                draw_text(context, layout, f"{about} {_duration(expected.seconds)}", "TIME")
+                draw_text(context, layout, f"{about} {duration(expected.seconds)}", "TIME")
         check = last_check()
         if missing.surfaces and not in_composite(scene):
             # Check Scene tells more about them.
@@ -157,10 +157,6 @@ def _expected(context: "bpy.types.Context") -> tuple[Forecast, Unrendered]:
 
 def _number(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def _duration(seconds: float) -> str:
-    return f"{max(round(seconds), 1)} s" if seconds < 100 else f"{round(seconds / 60)} min"
 
 
 class MRPNN_PT_film(_RenderPanel, bpy.types.Panel):

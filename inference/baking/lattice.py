@@ -71,7 +71,8 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Se
     low, high = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
     times = 1
     if camera is not None and "small_voxels" in settings.optimizations:
-        times = _coarsening(volume, grid, camera)
+        longest = float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).max())
+        times = joined_voxels(camera, grid.corners(), longest)
     if settings.most_voxels:
         times = max(times, int(-(-(high - low).max() // settings.most_voxels)))
     shape = -(-(high - low) // times) + 2
@@ -93,10 +94,12 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Se
     return BakeLattice(np.pad(block_means(density, times), 1), frame, times)
 
 
-def _coarsening(volume: Volume, grid: Grid, camera: Camera) -> int:
-    """Number of the volume's voxels along an edge of a baked one that the camera's pixels do not resolve."""
-    longest = float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).max())
-    return max(int(_pixel_size(camera, grid.corners()) / (VOXELS_PER_PIXEL * longest)), 1)
+def joined_voxels(camera: Camera, corners: np.ndarray, voxel: float) -> int:
+    """Voxels along an edge of a baked one that the camera's pixels do not resolve.
+
+    corners: (8, 3), of the volume in the world. voxel: longest edge of its voxels, world units.
+    """
+    return max(int(_pixel_size(camera, corners) / (VOXELS_PER_PIXEL * voxel)), 1)
 
 
 def _pixel_size(camera: Camera, corners: np.ndarray) -> float:

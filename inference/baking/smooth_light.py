@@ -14,7 +14,7 @@ STRIDES = (4, 2, 1)
 # The same for light of environments, which varies less.
 SKY_STRIDES = (8, *STRIDES)
 # Largest error of interpolation, as a share of the mean radiance, in a voxel that is in full view.
-TOLERANCE = 0.006
+TOLERANCE = 0.012
 # So few voxels are all predicted: their neighbours tell too little of how smooth their light is.
 FEW = 4096
 # Optical thickness of a voxel, times this, from which it counts in full.
@@ -23,15 +23,17 @@ THIN = 10.0
 LEAST, MOST = np.float32(0.3), np.float32(2.0)
 
 
-# Share of the voxels of the finest lattice that is predicted besides those of coarser ones, about.
-FINEST_SHARE = 0.14
+# Share of the voxels of the finest lattice that is predicted besides those of coarser ones, about: for so many voxels
+# along an edge of a cube. Light varies less from voxel to voxel where there are more.
+FINEST_SHARE, EDGE, FINEST_POWER, FINEST_LIMITS = 0.1, 70.0, -2.4, (0.08, 0.8)
 
 
 def expected_predictions(voxels: float, strides: Sequence[int]) -> float:
     """How many of so many wanted voxels `radiance_in_voxels` predicts, about."""
     if voxels <= FEW or len(strides) == 1:
         return voxels
-    return voxels * (FINEST_SHARE + sum(stride**-3 for stride in strides if stride > 1))
+    finest = float(np.clip(FINEST_SHARE * (voxels ** (1.0 / 3.0) / EDGE) ** FINEST_POWER, *FINEST_LIMITS))
+    return voxels * (finest + sum(stride**-3 for stride in strides if stride > 1))
 
 
 def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 Fraction = float | np.float32
 Weights = Callable[[Fraction], list[Fraction]]
 # Cells that one call of the kernel sweeps.
-CELLS_PER_CALL = 1 << 22
+CELLS_PER_CALL = 1 << 21
 
 
 def linear(f: Fraction) -> list[Fraction]:

@@ -23,7 +23,7 @@ from ..features.stencil import frames
 from ..grids.bound_medium import BoundMedium
 from ..grids.grid import Grid
 from ..marching.lamp_in_media import LampInMedia
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 from ..occluders.lamp_shadow_map import LampShadowMap
 from ..occluders.seen_surfaces import HIDING, SeenPoints, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
@@ -33,7 +33,7 @@ from ..plan.lights import DIRECTIONS, linking
 from ..plan.plan import distinct_albedos
 from ..render_cache import ScatteringGroup
 from ..runtime.cancellation import NEVER, CancelToken
-from ..scene.description import Sun, Surface, Volume
+from ..scene.description import Medium, Sun, Surface, Volume
 from ..scene.environment import Environment, pixel_solid_angles
 from ..scene.sparse_grid import SparseGrid
 from .context import PreparedScene
@@ -53,6 +53,8 @@ SLOPES = [
     for angle in (np.arange(4) + 2.0 * u) * (np.pi / 2.0)
 ]
 SLAB = 32
+# Points along an edge of each volume at which a sun's shadows are read.
+LATTICE = 8
 # Times that light between volumes and surfaces is followed.
 ROUNDS = 3
 
@@ -108,13 +110,16 @@ def surface_light(
             light *= sun_visibility(shading, sun, seen, scene.corners, cancel)
             passing = passed_sun(media, number, seen.points, c, inside)
             irradiance[:, c] += light[:, None] * passing * sun.irradiance[c]
-            power[c] += ball.area[c] * sun.irradiance[c] * sunned[number]
+            taken = ball.area[c] * sun.irradiance[c] * sunned[number]
+            power[c] += taken * _sunlit_share(media, number, scene.occluders.shadow_map(sun))
         for number, lamp in enumerate(scene.lamps):
             cancel.check()
             irradiance[:, c] += lamp_light(lamp, media, seen, c) * lamp.lamp.power[c] * lamplit[:, number, None]
-            captured = lamp.captured([bound.sigma_t for bound in media]) * lamp.lamp.power[c] * lamped[number]
-            power[c] += captured
-            lamp_power[c] += captured
+            for channel in c if lamped[number] else ():
+                turned = [bound.sigma_t * _turned(bound.medium, channel) for bound in media]
+                captured = lamp.captured(scene.grids, turned) * lamp.lamp.power[channel]
+                power[channel] += captured
+                lamp_power[channel] += captured
     if scene.plan.sky:
         sky, fluence = _sky_light(scene.plan.sky, seen)
         if shading and any(environment.weight for environment in plan.environments):
@@ -122,7 +127,7 @@ def surface_light(
         # What volumes take from the sky in front of a surface, they take from its irradiance.
         shaded = np.maximum(sky - form[:, None] * ball.area * fluence / (4.0 * np.pi), 0.0)
         irradiance += np.where(inside[:, None], open_share * sky, shaded)
-        power += ball.area * fluence
+        power += ball.area * _open_fluence(plan.environments)
     irradiance += 0.5 * (form * inside)[:, None] * ball.leaving * lamp_power / (4.0 * np.pi)
     irradiance /= 1.0 - seen.reflectance * thrown_back
     scattered, returned = power, np.zeros_like(irradiance)
@@ -169,6 +174,30 @@ def _ball(scene: PreparedScene) -> _Ball:
     radius = 0.25 * float(np.ptp(scene.corners, axis=0).mean())
     middle = 0.5 * (scene.corners.min(axis=0) + scene.corners.max(axis=0))
     return _Ball(middle, radius, area, leaving / np.maximum(area, 1e-30))
+
+
+def _sunlit_share(media: Sequence[BoundMedium], sun: int, shadow_map: ShadowMap | None) -> float:
+    """Of the light that volumes take from a sun, the share that surfaces leave to them."""
+    if shadow_map is None:
+        return 1.0
+    taken, lit = 1e-300, 0.0
+    for bound in media:
+        index = _lattice(bound.grid)
+        light = bound.grid.sample_density(index).astype(np.float64) * bound.sigma_t
+        light *= np.exp(-bound.sun_depths[sun](index, bound.sigma_t)) if bound.sigma_t > 0.0 else 1.0
+        light *= np.prod(np.ptp(bound.grid.corners(), axis=0))
+        points = product(index.T - bound.offset, inverse(bound.linear).T)
+        taken += light.sum()
+        lit += light @ shadow_map.visibility((points @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))
+    return lit / taken
+
+
+def _lattice(grid: Grid) -> np.ndarray:
+    """Continuous indices float32 (3, N) throughout a grid's support."""
+    low, high = grid.box
+    along = (np.arange(LATTICE) + 0.5) / LATTICE
+    axes = (low + (high - low) * along[:, None]).T
+    return np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1).astype(np.float32)
 
 
 def _within(grid: Grid, seen: SeenSurfaces) -> np.ndarray:
@@ -233,6 +262,11 @@ def _slabs(scene: PreparedScene, seen: SeenSurfaces, within: np.ndarray) -> tupl
     return np.exp(-depths).mean(axis=0), returned.mean(axis=0)
 
 
+def _turned(medium: Medium, channel: int) -> float:
+    """`_turned_share` of a medium in a colour channel."""
+    return float(_turned_share(medium.albedo[channel], medium.anisotropy))
+
+
 def _turned_share(albedo: np.ndarray, anisotropy: float) -> np.ndarray:
     """Extinction for light that scatters alike in all directions or goes straight on, over the true one: 1 - w G."""
     return 1.0 - albedo * anisotropy
@@ -264,6 +298,12 @@ def _sky_light(sky: Sequence[Environment], seen: SeenSurfaces) -> tuple[np.ndarr
     normals, number = np.unique(np.round(seen.normals, 3), axis=0, return_inverse=True)
     irradiance = np.concatenate([product(np.maximum(product(towards, normal), 0.0)[None], light) for normal in normals])
     return irradiance[number.reshape(-1)], light.sum(axis=0)
+
+
+def _open_fluence(environments: Sequence[Environment]) -> np.ndarray:
+    """Mean fluence (3,) in the volumes of environments behind surfaces."""
+    weights = [1.0 if environment.weight is None else environment.weight.mean for environment in environments]
+    return sum((weight * environment.fluence() for weight, environment in zip(weights, environments)), np.zeros(3))
 
 
 def _sky_visibility(

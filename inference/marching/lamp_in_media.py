@@ -28,6 +28,8 @@ ENCLOSED = 12.0
 SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
 COARSE = 6
+# Directions in which each emitter's light is followed, to tell how much of it volumes take.
+CAPTURE_DIRECTIONS = 1024
 # Lower bound of a lamp's light at a point, as a fraction of what the lamp would give if it faced the point; the kernel
 # holds it, too.
 LEAST_FACING = 0.25
@@ -72,17 +74,26 @@ class LampInMedia:
         nearest = [np.linalg.norm(positions - emitter.position, axis=1).argmin() for emitter in self.coarse]
         return [self.shadow_maps[number] for number in nearest]
 
-    def captured(self, sigma_t: Sequence[float]) -> float:
-        """Fraction of the light that would collide in the volumes if the lamp shone evenly in all directions.
+    def captured(self, grids: Sequence[Grid], sigma_t: Sequence[float]) -> float:
+        """Power that collides in the volumes before it meets a surface, of a lamp of power 1.
 
         sigma_t: extinction of each volume, per unit density.
         """
-        passed = np.ones(len(self.emitters))
-        for e, columns in enumerate(self.depths):
-            for depth, extinction in zip(columns, sigma_t):
-                depths, fractions = depth.outwards(extinction)
-                passed[e] *= 1.0 - (fractions * -np.expm1(-depths)).sum()
-        return float(1.0 - passed.mean())
+        corners = np.concatenate([grid.corners() for grid in grids])
+        captured = 0.0
+        for e, emitter in enumerate(self.emitters):
+            beyond = 2.0 * float(np.linalg.norm(corners - emitter.position, axis=1).max()) + emitter.extent
+            directions = emitter.directions(CAPTURE_DIRECTIONS)
+            light = emitter.fluence(emitter.position + beyond * directions)
+            distance = np.full(len(directions), beyond)
+            if self.surface_shadow_maps is not None:
+                distance = np.minimum(distance, self.surface_shadow_maps[e].distance(directions))
+            points = emitter.position + distance[:, None] * directions
+            depths = np.zeros(len(points))
+            for grid, depth, extinction in zip(grids, self.depths[e], sigma_t):
+                depths += depth(grid.index(points).T.astype(np.float32), extinction)
+            captured += emitter.power * float(-np.expm1(-depths) @ light / max(light.sum(), 1e-300))
+        return captured
 
     @property
     def centre(self) -> np.ndarray:

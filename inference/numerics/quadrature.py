@@ -8,6 +8,8 @@ import numpy as np
 #: Powers of the reciprocal of the plastic number: multiples of them, less their whole parts, are spread evenly over a
 #: square (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
 PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
+#: The angle between points that follow each other on a Fibonacci spiral.
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 # Newton's method doubles the digits of nodes that are right to three from the start.
 ITERATIONS = 5
@@ -46,6 +48,6 @@ def legendre_integrals(x: np.ndarray, count: int) -> np.ndarray:
 def even_directions(count: int) -> np.ndarray:
     """Unit vectors float64 (count, 3) on a Fibonacci spiral, which stand for equal shares of the sphere."""
     number = np.arange(count)
-    rise, turn = 1.0 - (2 * number + 1) / count, number * np.pi * (3.0 - np.sqrt(5.0))
+    rise, turn = 1.0 - (2 * number + 1) / count, number * GOLDEN_ANGLE
     flat = np.sqrt(1.0 - rise**2)
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), rise], axis=1)

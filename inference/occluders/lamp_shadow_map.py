@@ -45,25 +45,36 @@ class LampShadowMap:
         """Whether there is no surface in any direction."""
         return bool(np.isinf(self.distances).all())
 
+    def distance(self, directions: np.ndarray) -> np.ndarray:
+        """Distance float32 (N,) of the nearest surface in directions (N, 3), or infinity."""
+        face, column, row = self._cells(directions)
+        return self.distances[face, self._clipped(np.rint(row)), self._clipped(np.rint(column))]
+
     def visibility(self, points: np.ndarray) -> np.ndarray:
         """Visibility float32 (N,) of the lamp from 0 to 1 at world points (N, 3), by percentage-closer filtering.
 
         Interpolates the outcome of the shadow test between the four nearest directions.
         """
         away = np.asarray(points, np.float64) - self.position
-        axis = np.abs(away).argmax(axis=1)
-        along = np.take_along_axis(away, axis[:, None], 1)[:, 0]
-        face = 2 * axis + (along < 0.0)
         distance = np.linalg.norm(away, axis=1).astype(np.float32)
-        cells, visibility = self.distances.shape[1], np.zeros(len(away), np.float32)
-        local = np.einsum("nij,ni->nj", np.stack(self.frames)[face], away)
-        depth = np.maximum(-local[:, 2], 1e-30)
-        column = (local[:, 0] / depth + 1.0) * (0.5 * cells) - 0.5
-        row = (1.0 - local[:, 1] / depth) * (0.5 * cells) - 0.5
+        visibility = np.zeros(len(away), np.float32)
+        face, column, row = self._cells(away)
         left, top = np.floor(column), np.floor(row)
         u, v = (column - left).astype(np.float32), (row - top).astype(np.float32)
         for i, x in ((left, 1.0 - u), (left + 1.0, u)):
             for j, y in ((top, 1.0 - v), (top + 1.0, v)):
-                cell = (face, np.clip(j, 0, cells - 1).astype(int), np.clip(i, 0, cells - 1).astype(int))
-                visibility += x * y * (distance <= self.distances[cell])
+                visibility += x * y * (distance <= self.distances[face, self._clipped(j), self._clipped(i)])
         return visibility
+
+    def _cells(self, away: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Face int (N,), and continuous column and row (N,) on it, in which vectors (N, 3) from the lamp point."""
+        axis = np.abs(away).argmax(axis=1)
+        along = np.take_along_axis(away, axis[:, None], 1)[:, 0]
+        face = 2 * axis + (along < 0.0)
+        local = np.einsum("nij,ni->nj", np.stack(self.frames)[face], away)
+        depth, half = np.maximum(-local[:, 2], 1e-30), 0.5 * self.distances.shape[1]
+        return face, (local[:, 0] / depth + 1.0) * half - 0.5, (1.0 - local[:, 1] / depth) * half - 0.5
+
+    def _clipped(self, cells: np.ndarray) -> np.ndarray:
+        """Indices int (N,) of columns or rows, within a face."""
+        return np.clip(cells, 0, self.distances.shape[1] - 1).astype(int)

@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..numerics.quadrature import GOLDEN_ANGLE, even_directions
 from ..numerics.small_matmul import product
 from .spot_cone import SpotCone
 
@@ -91,6 +92,12 @@ class SphereEmitter:
         cosine = np.linspace(-1.0, 1.0, 2001)
         directions = cosine[:, None] * self.cone.axis + np.sqrt(1.0 - cosine**2)[:, None] * _across(self.cone.axis)
         return self.share * float(self.cone.passed(directions, np.zeros(len(cosine))).mean())
+
+    def directions(self, count: int) -> np.ndarray:
+        """Unit vectors float64 (count, 3), spread evenly over all into which it shines."""
+        if self.cone is None:
+            return even_directions(count)
+        return _cap(self.cone.axis, self.cone.cosine, count)
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
@@ -211,6 +218,10 @@ class QuadEmitter:
         edges = self.corners - np.roll(self.corners, 1, axis=0)
         return float(FAR**2 * (edges**2).sum(axis=1).max())
 
+    def directions(self, count: int) -> np.ndarray:
+        """As for SphereEmitter."""
+        return _cap(self.normal, np.cos(0.5 * min(self.spread, np.pi)), count)
+
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""
         away = points - self.position
@@ -261,6 +272,15 @@ def _across(axis: np.ndarray) -> np.ndarray:
     """A unit vector (3,) perpendicular to another."""
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     return across / np.linalg.norm(across)
+
+
+def _cap(axis: np.ndarray, cosine: float, count: int) -> np.ndarray:
+    """Unit vectors (count, 3), spread evenly over the directions whose cosine with a unit vector is above `cosine`."""
+    number = (np.arange(count) + 0.5) / count
+    rise, turn = cosine + (1.0 - cosine) * number, np.arange(count) * GOLDEN_ANGLE
+    across = _across(axis)
+    around = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * np.cross(axis, across)
+    return rise[:, None] * axis + np.sqrt(1.0 - rise**2)[:, None] * around
 
 
 def _everywhere(rays: int) -> tuple[np.ndarray, np.ndarray]:

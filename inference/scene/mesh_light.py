@@ -24,13 +24,21 @@ STRETCHED = 0.7
 ALIKE = 1e-3
 # Ratio of the principal moments of a patch below which its own edges tell its orientation.
 ROUND = 1.5
+# Points on a mesh that tell how much of it hides behind itself, and how many of them a cell of directions holds where
+# one layer of the mesh is seen from in front. Points that much deeper than the first of a cell, in widths of the cell,
+# are hidden, plus so much on a slope.
+SAMPLES, PER_CELL = 1 << 13, 8
+DEEPER, DEEPER_ON_SLOPES = 0.5, 1.5
+# Least cosine of a sample that counts: of those seen at a flat angle depth tells nothing.
+FLAT = 0.05
 
 
 @dataclass
 class MeshLight(Lamp):
     """The light that a surface emits, as a lamp.
 
-    surface: with emission above 0. Open meshes shine on both sides, closed meshes outwards, as if they were convex.
+    surface: with emission above 0. Open meshes shine on both sides, closed meshes outwards. What hides behind other
+    parts of the mesh dims all of it alike.
     power: W, float64 (3,). area: of the mesh. centre: (3,), mean of its area. closed: whether the mesh is.
     """
 
@@ -40,6 +48,7 @@ class MeshLight(Lamp):
     receivers: frozenset[str] | None = field(init=False)
     area: float = field(init=False)
     closed: bool = field(init=False)
+    _shares: dict[bytes, float] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.name, self.receivers = self.surface.name, self.surface.receivers
@@ -82,13 +91,62 @@ class MeshLight(Lamp):
         volume = (triangles.mean(axis=1) * vectors).sum()
         return triangles, -vectors if self.closed and volume < 0.0 else vectors
 
+    @functools.cached_property
+    def _samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points (SAMPLES, 3), each of the same area of the mesh, and their unit normals."""
+        triangles, vectors = self._triangles
+        areas, random = np.linalg.norm(vectors, axis=1), np.random.default_rng(0)
+        shares = np.cumsum(areas) / areas.sum()
+        found = np.searchsorted(shares, (np.arange(SAMPLES) + 0.5) / SAMPLES).clip(0, len(areas) - 1)
+        u, v = random.random((2, SAMPLES))
+        over = u + v > 1.0
+        u, v = np.where(over, 1.0 - u, u)[:, None], np.where(over, 1.0 - v, v)[:, None]
+        a, b, c = triangles[found].swapaxes(0, 1)
+        return a + u * (b - a) + v * (c - a), vectors[found] / areas[found, None]
+
+    def _unhidden(self, corners: np.ndarray) -> float:
+        """Share of the light towards a box with these corners (8, 3) that no other part of the mesh hides."""
+        key = corners.tobytes()
+        if key not in self._shares:
+            # Gaussian quadrature over the box.
+            places = corners.mean(axis=0) + (corners - corners.mean(axis=0)) / np.sqrt(3.0)
+            seen, whole = np.sum([self._seen_from(place) for place in places], axis=0)
+            self._shares[key] = float(seen / whole) if whole > 0.0 else 1.0
+        return self._shares[key]
+
+    def _seen_from(self, place: np.ndarray) -> tuple[float, float]:
+        """Light that a place (3,) gets of the samples before which it sees no other, and of all that face it."""
+        points, normals = self._samples
+        away = place - points
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9 * self.extent)
+        directions = away / distance[:, None]
+        cosines = (directions * normals).sum(axis=1)
+        cosines = cosines if self.closed else np.abs(cosines)
+        width = float(np.sqrt(PER_CELL * self.area / SAMPLES) / np.median(distance))
+        _, cells = np.unique(np.floor(directions / width).astype(np.int64), axis=0, return_inverse=True)
+        first = np.full(len(points), np.inf)
+        np.minimum.at(first, cells.reshape(-1), distance)
+        facing = cosines > FLAT
+        cosines, distance = cosines[facing], distance[facing]
+        slope = np.sqrt(np.maximum(1.0 - cosines**2, 0.0)) / cosines
+        deeper = width * distance * (DEEPER + DEEPER_ON_SLOPES * slope)
+        light = cosines / distance**2
+        return float(light @ (distance <= first[cells.reshape(-1)][facing] + deeper)), float(light.sum())
+
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
         """As of PointLight."""
+        corners = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
+        share = self._unhidden(corners)
+        return [emitter.dimmed(share) for emitter in self._all_emitters(low, high, corners, most)]
+
+    def _all_emitters(
+        self, low: np.ndarray, high: np.ndarray, corners: np.ndarray, most: int
+    ) -> Sequence[SphereEmitter | QuadEmitter]:
+        """As if no part of the mesh hid another."""
         apart = self.extent / max(distance_from_box(self.centre, low, high), 1e-6 * self.extent)
         count = min(1 if apart < SMALL else 4 if apart < MEDIUM_SIZE else MOST, most)
         if self.closed and count <= FEW_PATCHES:
             return self._spheres(count)
-        corners = np.array(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij")).reshape(3, -1).T
         for patches in (count, max(count // 2, 1)):
             sided = [
                 (patch, normal)

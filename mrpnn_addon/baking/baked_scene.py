@@ -88,8 +88,10 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
 
 
 def show_light(scene: "bpy.types.Scene", baked: BakedScene) -> None:
-    """Show one frame's light, instead of what was shown of its volumes before."""
+    """Show one frame's light, instead of what was shown of its volumes before. Without either, nothing changes."""
     state = light_state(scene)
+    if not (baked.names or state.active):
+        return
     _prepare(scene)
     state.directional = baked.directional
     for one in baked.volumes:

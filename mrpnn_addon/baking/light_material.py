@@ -33,8 +33,8 @@ RAYS = ("Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Transmission Ray
 # Light, as it is written, below which nobody sees it.
 DARK = 1e-7
 
-# What drives an input: the output of a node, or a number.
-Value = Socket | float
+# What drives an input: the output of a node, a number, or three.
+Value = Socket | float | tuple[float, ...]
 
 
 def light_material(name: str, scale: float, directional: DirectionalFactor | None) -> "bpy.types.Material":
@@ -130,17 +130,21 @@ def _other(
 
     baked: the baked view's ray, or None. cosine: between both, or None. light: along the baked ray.
     """
-    mean = build.vector("DOT_PRODUCT", light, build.combine(*[1.0 / 3.0] * 3))
+    mean = build.vector("DOT_PRODUCT", light, (1.0 / 3.0,) * 3)
     fine = build.math("LOGARITHM", build.math("MAXIMUM", mean, DARK), math.e)
     share: Any = math.exp(-directional.sharpness)
     if cosine is not None:
         share = build.exponential(cosine, directional.sharpness)
     # Of the light's own logarithm, to which the smooth terms give the rest.
     logarithm = build.math("MULTIPLY", fine, build.math("SUBTRACT", share, 1.0))
-    coefficients = [*smooth_grids(), *anchor_grids(directional)]
-    terms = [*_smooth(build, ray, directional.lobe), *_anchors(build, ray, baked, share, directional.view)]
-    for name, three in zip(coefficients, terms):
-        logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", build.attribute(name), three))
+    for names, terms, unit in (
+        (smooth_grids(), _smooth(build, ray, directional.lobe), 1.0),
+        (anchor_grids(directional), _anchors(build, ray, baked, share, directional.view), math.exp(-SHARPNESS)),
+    ):
+        total: Value = (0.0, 0.0, 0.0)
+        for name, three in zip(names, terms):
+            total = build.vector("MULTIPLY_ADD", build.attribute(name), three, total)
+        logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", total, (unit,) * 3))
     if directional.colours is None:
         return build.vector("SCALE", light, scale=build.limited_exponential(logarithm))
     turned = ray if baked is None else build.vector("SUBTRACT", ray, baked)
@@ -152,41 +156,35 @@ def _other(
 def _smooth(build: "_Nodes", ray: Value, lobe: Lobe) -> list:
     """The sockets of `directional_terms`, three to a vector."""
     x, y, z = build.separate(ray)
+    xx, yy, zz = build.separate(build.vector("MULTIPLY", ray, ray))
     xy, yz, xz = build.math("MULTIPLY", x, y), build.math("MULTIPLY", y, z), build.math("MULTIPLY", x, z)
-    squares = build.math("SUBTRACT", build.math("MULTIPLY", x, x), build.math("MULTIPLY", y, y))
-    axial = build.math("MULTIPLY_ADD", build.math("MULTIPLY", z, z), 3.0, -1.0)
-    terms = [1.0, x, y, z, xy, yz, xz, squares, axial, *_cubic(build, x, y, z), _lobe(build, ray, lobe)]
-    return build.triples(terms)
+    squares, axial = build.math("SUBTRACT", xx, yy), build.math("MULTIPLY_ADD", zz, 3.0, -1.0)
+    # x^2 - 3 y^2, 3 x^2 - y^2, 5 z^2 - 1 and 5 z^2 - 3.
+    first, second = build.math("MULTIPLY_ADD", yy, -3.0, xx), build.math("MULTIPLY_ADD", xx, 2.0, squares)
+    steep, last = (build.math("MULTIPLY_ADD", zz, 5.0, constant) for constant in (-1.0, -3.0))
+    factors = (x, first), (y, second), (z, squares), (xy, z), (x, steep), (y, steep), (z, last)
+    cubic = [build.math("MULTIPLY", *pair) for pair in factors]
+    return build.triples([1.0, x, y, z, xy, yz, xz, squares, axial, *cubic, _lobe(build, ray, lobe)])
 
 
 def _anchors(build: "_Nodes", ray: Value, baked: Value, share: Value, view: BakedView) -> list:
-    """The sockets of what the coefficients of anchors multiply, three to a vector."""
-    terms = [build.math("MULTIPLY", share, -1.0)]
+    """The sockets of what the coefficients of anchors multiply, times exp(SHARPNESS), three to a vector."""
+    terms = [build.math("MULTIPLY", share, -math.exp(SHARPNESS))]
     if baked is not None:
         up = build.combine(*map(float, view.up), name=UP)
         across = build.vector("NORMALIZE", build.vector("CROSS_PRODUCT", baked, up))
         axes = across, build.vector("CROSS_PRODUCT", across, baked), baked
         local = build.combine(*(build.vector("DOT_PRODUCT", ray, axis) for axis in axes))
-        cosines = (build.vector("DOT_PRODUCT", local, build.combine(*map(float, anchor))) for anchor in ANCHORS)
-        terms += [build.exponential(cosine, SHARPNESS) for cosine in cosines]
+        sharpened = [tuple(SHARPNESS * float(value) for value in anchor) for anchor in ANCHORS]
+        terms += [build.math("EXPONENT", build.vector("DOT_PRODUCT", local, anchor)) for anchor in sharpened]
     return build.triples(terms)
 
 
-def _cubic(build: "_Nodes", x: Value, y: Value, z: Value) -> list:
-    """The sockets of `cubic_terms`."""
-    xx, yy, zz = (build.math("MULTIPLY", value, value) for value in (x, y, z))
-    # x^2 - 3 y^2, 3 x^2 - y^2, x^2 - y^2 and 5 z^2 - 1.
-    first = build.math("MULTIPLY_ADD", yy, -3.0, xx)
-    second = build.math("SUBTRACT", build.math("MULTIPLY", xx, 3.0), yy)
-    squares, axial = build.math("SUBTRACT", xx, yy), build.math("MULTIPLY_ADD", zz, 5.0, -1.0)
-    terms = (x, first), (y, second), (z, squares), (build.math("MULTIPLY", x, y), z), (x, axial), (y, axial)
-    last = build.math("SUBTRACT", axial, 2.0)
-    return [build.math("MULTIPLY", *factors) for factors in (*terms, (z, last))]
-
-
-def _lobe(build: "_Nodes", ray: Value, lobe: Lobe) -> Socket:
+def _lobe(build: "_Nodes", ray: Value, lobe: Lobe) -> Value:
     """The socket of `Lobe.logarithm`."""
     g, total = lobe.anisotropy, None
+    if g == 0.0:
+        return 0.0
     for number, (direction, weight) in enumerate(zip(lobe.directions, lobe.weights)):
         towards = build.combine(*map(float, direction), name=SUN.format(number + 1))
         cosine = build.vector("DOT_PRODUCT", ray, towards)
@@ -224,6 +222,8 @@ class _Nodes:
     def link(self, source: Value, target: Socket) -> None:
         if isinstance(source, (int, float, np.floating)):
             target.default_value = float(source)
+        elif isinstance(source, tuple):
+            target.default_value = source
         else:
             self.tree.links.new(source, target)
 

@@ -15,7 +15,7 @@ import numpy as np
 from ...inference.scene import SceneError
 from ..cycles.choices import REFERENCE
 from ..runtime.atomic_write import atomic_write, make_folder
-from ..runtime.text import safe_text
+from ..runtime.text import safe_text, text_of
 from .chart_image import show_chart
 from .page import ERROR_LIMIT, page
 from .pictures import display_png, view_png
@@ -62,7 +62,7 @@ def writing(run: "ComparisonRun", comparison: Comparison) -> Iterator[Path]:
     error = signed_error(run.layer_image(), run.reference_image())
     text = page(
         comparison,
-        f"Error against run time: {run.scene.name}, frame {run.description.frame}",
+        f"Error against run time: {text_of(run.scene, 'name')}, frame {run.description.frame}",
         pictures,
         display_png(error),
         reference,

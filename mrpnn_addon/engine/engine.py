@@ -89,12 +89,16 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         """Report why a frame cannot be rendered. An animation goes on behind an empty picture of it."""
         if self.is_animation:
             try:
-                self._write_empty(depsgraph)
+                with utf8_names():
+                    self._write_empty(depsgraph)
                 return report(self, "WARNING", f"frame {depsgraph.scene.frame_current} is an empty picture: {message}")
             except Cancelled:
                 return
-            except Exception as error:
-                message = f"{message}; {error}"
+            except (SceneError, OSError) as error:
+                # The camera, without which there is no picture, may be what is wrong.
+                message = message if str(error) in message else f"{message}; {error}"
+            except Exception:
+                traceback.print_exc()
         # An ERROR report ends the render and keeps Blender from writing a file. After error_set, or an exception, it
         # would continue and write an empty image.
         report(self, "ERROR", message)

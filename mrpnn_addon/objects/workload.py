@@ -25,7 +25,8 @@ class Box:
 
     name: of its object. matrix: (4, 4), box to world. low, high: (3,), its corners. voxel: edge of a voxel, world
     units. thickness: largest optical thickness of a voxel. cells: voxels along the longest edge. filled: share of
-    voxels that are not 0; None before the volume is read.
+    voxels that are not 0; None before the volume is read. refined: voxels along an edge of one that the file has, which
+    the renderer refines.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Box:
     thickness: float
     cells: float
     filled: float | None = None
+    refined: int = 1
 
 
 @dataclass
@@ -84,7 +86,7 @@ def estimate_workload(
         frozenset(box.name for box in boxes),
         int(covered.sum()),
         volumes=len(boxes),
-        groups=_count_groups(boxes),
+        groups=count_groups(boxes),
         lights=lights,
         samples=samples,
         channels=channels,
@@ -126,15 +128,15 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
     x0, y0, x1, y1 = camera.window
     covered = np.zeros((y1 - y0, x1 - x0), bool)
     for box in boxes:
-        left, top, right, bottom = window_around(camera, _corners(box))
+        left, top, right, bottom = window_around(camera, corners(box))
         covered[top - y0 : bottom - y0, left - x0 : right - x0] = True
     return covered
 
 
-def _count_groups(boxes: list[Box]) -> int:
+def count_groups(boxes: list[Box]) -> int:
     """How many groups of boxes there are that overlap, in the world's axes."""
-    corners = np.stack([_corners(box) for box in boxes]) if boxes else np.empty((0, 8, 3))
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    around = np.stack([corners(box) for box in boxes]) if boxes else np.empty((0, 8, 3))
+    low, high = around.min(axis=1), around.max(axis=1)
     joined = np.all((low[:, None] < high) & (low < high[:, None]), axis=2)
     # Each product doubles the number of boxes that a chain may have.
     for _ in range(len(boxes).bit_length()):
@@ -142,10 +144,10 @@ def _count_groups(boxes: list[Box]) -> int:
     return len(np.unique(joined, axis=0))
 
 
-def _corners(box: Box) -> np.ndarray:
+def corners(box: Box) -> np.ndarray:
     """(8, 3), in world space."""
-    corners = np.array(np.meshgrid(*zip(box.low, box.high), indexing="ij")).reshape(3, -1)
-    return (box.matrix[:3, :3] @ corners + box.matrix[:3, 3:]).T
+    ends = np.array(np.meshgrid(*zip(box.low, box.high), indexing="ij")).reshape(3, -1)
+    return (box.matrix[:3, :3] @ ends + box.matrix[:3, 3:]).T
 
 
 def _intervals(

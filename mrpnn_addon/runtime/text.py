@@ -68,6 +68,11 @@ def stamp_field(result: Any, name: str, value: object) -> None:
     result.stamp_data_add_field(safe_text(name), safe_text(value))
 
 
+def duration(seconds: float) -> str:
+    """Seconds, or minutes of long ones, such as "12 s"."""
+    return f"{max(round(seconds), 1)} s" if seconds < 100 else f"{round(seconds / 60)} min"
+
+
 def percent(fraction: float) -> str:
     """How much of some work is done, in whole percent: 100 % is its end."""
     return f"{int(100.0 * fraction)}%"

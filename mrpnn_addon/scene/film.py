@@ -17,7 +17,7 @@ from ..world.process import PictureFailed
 # Cycles' samples for each pixel that differs from its neighbours.
 SAMPLES = 16
 # Seconds until Cycles' process has started, that it takes for the light of a World, and for a pixel behind the volumes.
-CYCLES_START, LIGHT_SECONDS, PIXEL_SECONDS = 2.5, 1.5, 4e-6
+CYCLES_START, LIGHT_SECONDS, PIXEL_SECONDS = 2.0, 1.0, 4e-6
 
 
 @dataclass

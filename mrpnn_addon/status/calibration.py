@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Calibrates the cost model by renders, of this session and of earlier ones on this machine."""
+"""Calibrates the cost models by renders and bakes, of this session and of earlier ones on this machine."""
 
 import json
 import math
@@ -14,6 +14,7 @@ from ..objects.workload import Workload
 from ..runtime.json_file import write_json
 from ..settings.preferences import EXTENSION
 from ..volumes.bounding_boxes import forget_densities
+from .bake_cost import BAKE, BakeWork, calibrate_bake
 from .cost_model import STAGES, Calibration, calibrate
 
 FILE = "mrpnn_rates.json"
@@ -38,6 +39,19 @@ def calibrate_by(workload: Workload | None, layer: Layer) -> None:
     known = calibration()
     before = dict(known.rates)
     calibrate(known, workload, layer.report, layer.alpha)
+    _keep_changed(known, before)
+
+
+def calibrate_by_bake(work: BakeWork, threads: int, seconds: float) -> None:
+    """Calibrate by a bake of all volumes that took so many seconds."""
+    known = calibration()
+    before = dict(known.rates)
+    calibrate_bake(known, work, threads, seconds)
+    _keep_changed(known, before)
+
+
+def _keep_changed(known: Calibration, before: dict[str, float]) -> None:
+    """Write rates that differ from those before."""
     if any(abs(rate - before.get(stage, 0.0)) > TOLERANCE * rate for stage, rate in known.rates.items()):
         _write(known)
 
@@ -52,6 +66,7 @@ def forget() -> None:
 def _after_load(*_: Any) -> None:
     # Another file's volumes may have the same names.
     calibration().shares.clear()
+    calibration().bakes.clear()
     forget_densities()
 
 
@@ -77,7 +92,7 @@ def _read() -> Calibration:
     try:
         with open(_path()) as file:
             found = json.load(file)
-        rates = {stage: float(found["rates"][stage]) for stage in STAGES if stage in found["rates"]}
+        rates = {stage: float(found["rates"][stage]) for stage in (*STAGES, BAKE) if stage in found["rates"]}
         if all(0.0 < rate < math.inf for rate in rates.values()):
             return Calibration(rates=rates)
     except (OSError, ValueError, TypeError, KeyError):

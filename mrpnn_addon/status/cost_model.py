@@ -54,10 +54,12 @@ class Calibration:
     """Results of earlier renders.
 
     shares: by the names of the volumes. rates: measured over modelled seconds by stage; empty before the first render.
+    bakes: the same of whole bakes, by the names of the volumes.
     """
 
     shares: dict[frozenset[str], Shares] = field(default_factory=dict)
     rates: dict[str, float] = field(default_factory=dict)
+    bakes: dict[frozenset[str], float] = field(default_factory=dict)
 
 
 def estimate_seconds(workload: Workload, threads: int, known: Calibration) -> float:

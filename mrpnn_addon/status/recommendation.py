@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which of three ways of showing volumes suits a scene: the layer alone, a composite over Cycles, or baked light."""
+"""Which way of showing volumes suits a scene: the layer, a composite over Cycles, baked light, or Cycles alone."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,10 +8,16 @@ import bpy
 
 from ..nodes.material import SURFACES, materials, shows_volume
 from ..nodes.sockets import has_nodes
-from ..objects.visibility import visible_objects
+from ..objects.visibility import VisibleObject, visible_objects
 from ..scene.unrendered import in_composite
+from ..volumes.bounding_boxes import box_around
+from ..volumes.fluid_domain import gas_domain
 
-LAYER, COMPOSITE, BAKED_LIGHT = "layer", "composite", "baked light"
+LAYER, COMPOSITE, BAKED_LIGHT, CYCLES = "layer", "composite", "baked light", "Cycles"
+# Mean optical thickness of volumes through which light scatters so seldom that a few bounces of Cycles show it all.
+THIN = 3.0
+# Mean density of a file's volume along a ray, as a share of the peak.
+FILLED = 0.1
 
 # Shaders that show what lies around a surface, and the socket that says how much, with its least value for that.
 _CLEAR = {
@@ -27,7 +33,7 @@ _ROUGH = 0.5
 
 @dataclass(frozen=True)
 class Recommendation:
-    """way: LAYER, COMPOSITE or BAKED_LIGHT. reason: a sentence for the panel."""
+    """way: LAYER, COMPOSITE, BAKED_LIGHT or CYCLES. reason: a sentence for the panel."""
 
     way: str
     reason: str
@@ -38,14 +44,18 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
     scene = depsgraph.scene
     needs, surfaces = [], False
     for shown in visible_objects(depsgraph):
-        kind = shown.object.type
-        if kind in SURFACES and not shows_volume(shown.object):
+        if is_surface(shown):
             surfaces = True
-            for material in materials(shown.object):
-                needs += _shows_surroundings(material)
+            needs += surroundings(shown)
     if needs:
         found = list(dict.fromkeys(needs))
         listed = found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"
+        if scatters_seldom(depsgraph):
+            return Recommendation(
+                CYCLES,
+                f"This scene has {listed}, which MRPNN Volumes does not render. Its volumes are thin: a few volume "
+                "bounces of Cycles show them in less time than a bake takes",
+            )
         return Recommendation(
             BAKED_LIGHT,
             f"This scene has {listed}, which MRPNN Volumes does not render. Bake the light to render all of it with "
@@ -67,6 +77,29 @@ def recommend(depsgraph: "bpy.types.Depsgraph") -> Recommendation:
         LAYER,
         "MRPNN Volumes renders all of this scene. Bake the light only where Cycles or EEVEE has to render the volumes",
     )
+
+
+def scatters_seldom(depsgraph: "bpy.types.Depsgraph") -> bool:
+    """Whether a few bounces of Cycles show all light that the volumes scatter, in less time than a bake takes."""
+    return all(_thickness(shown) < THIN for shown in visible_objects(depsgraph) if shows_volume(shown.object))
+
+
+def _thickness(shown: VisibleObject) -> float:
+    """Mean optical thickness along a volume's longest edge, estimated without reading it."""
+    box, _ = box_around(shown)
+    # Without a simulation, a mesh is filled evenly.
+    even = shown.object.type != "VOLUME" and gas_domain(shown.object) is None
+    return box.thickness * box.cells * (1.0 if even else FILLED)
+
+
+def is_surface(shown: VisibleObject) -> bool:
+    """Whether an object shows a surface."""
+    return shown.object.type in SURFACES and not shows_volume(shown.object)
+
+
+def surroundings(shown: VisibleObject) -> list[str]:
+    """Which mirrors and glasses a surface has, in words."""
+    return [found for material in materials(shown.object) for found in _shows_surroundings(material)]
 
 
 def _shows_surroundings(material: "bpy.types.Material") -> list[str]:

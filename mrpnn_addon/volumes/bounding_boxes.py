@@ -69,6 +69,7 @@ def box_around(shown: VisibleObject) -> tuple[Box, int]:
         extinction * longest / times,
         cells * times,
         _densities[shown.name].filled if shown.name in _densities else None,
+        times,
     )
     return box, len(set(np.round(unit, 6).tolist()))
 

@@ -2,13 +2,14 @@
 """Grids of one file on common voxels, where Cycles samples each grid at points."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import EDGE, SparseGrid
 from ..vdb.density_grid import DENSE_SPAN, MAX_SPAN, MAX_VOXELS, DensityGrid
+from .shaded_grid import refine
 
 # Blocks that are resampled together.
 BLOCKS_PER_BATCH = 1 << 10
@@ -22,7 +23,7 @@ class CommonVoxels:
 
     shape: int (3,), voxels of the box. object_from_index: float64 (4, 4). low: int (3,), the file's index of the box's
     first voxel. backgrounds: values outside, by name. is_negative: whether some values are below 0. warnings: about the
-    file and what was done, naming the object.
+    file and what was done, naming the object. is_refined: whether the voxels are half as wide as the grids'.
     """
 
     grids: dict[str, np.ndarray | SparseGrid]
@@ -33,15 +34,22 @@ class CommonVoxels:
     backgrounds: dict[str, float]
     is_negative: bool
     warnings: list[str]
+    is_refined: bool = False
 
 
 def common_voxels(
-    read: dict[str, DensityGrid], shaping: list[str], where: str, check: Callable[[], None]
+    read: dict[str, DensityGrid],
+    shaping: list[str],
+    where: str,
+    check: Callable[[], None],
+    refines: Callable[[int, bool], bool] = lambda voxels, is_negative: False,
 ) -> CommonVoxels:
     """Place grids in one box, resampled trilinearly where their voxels differ.
 
     The voxels are those of the finest of the grids `shaping`, which shape the density, or of a much finer one unless
     they would be too many, which a warning tells. check: called often; an exception that it raises stops the work.
+    refines: whether so many voxels, some of them negative or none, will be refined. Grids between whose voxels those
+    of another lie are then sampled on voxels half as wide, which miss fewer of their extremes.
 
     Raises SceneError, prefixed with `where`, where the box would be too large.
     """
@@ -57,7 +65,15 @@ def common_voxels(
                 f'{where}: grid "{finest}" has smaller voxels than grid "{chosen}" and loses detail; resample it to '
                 "the same voxels"
             )
-    reference = read[chosen]
+    reference, is_negative = read[chosen], any(grid.is_negative for grid in read.values())
+    is_refined = (
+        isinstance(reference.density, np.ndarray)
+        and 8 * reference.density.size <= DENSE_SPAN
+        and not all(_is_on(grid, reference) for grid in read.values())
+        and refines(reference.density.size, is_negative)
+    )
+    if is_refined:
+        reference = _refined(reference)
     placed = {name: _on(grid, reference, name, where, check) for name, grid in read.items()}
     offsets = {name: offset for name, (_, offset) in placed.items()}
     low = np.min(list(offsets.values()), axis=0)
@@ -75,9 +91,27 @@ def common_voxels(
         object_from_index,
         reference.low + low,
         {name: grid.background for name, grid in read.items()},
-        any(grid.is_negative for grid in read.values()),
+        is_negative,
         warnings,
+        is_refined,
     )
+
+
+def _refined(grid: DensityGrid) -> DensityGrid:
+    """A grid whose density is an array on voxels half as wide, as `refine` makes them."""
+    matrix = grid.object_from_index.copy()
+    matrix[:3, 3] -= 0.5 * matrix[:3, :3].sum(axis=1)
+    matrix[:3, :3] *= 0.5
+    density = refine(np.asarray(grid.density), grid.background)
+    return replace(grid, density=density, object_from_index=matrix, low=2 * grid.low - 1)
+
+
+def _is_on(grid: DensityGrid, reference: DensityGrid) -> bool:
+    """Whether the voxels of a grid are some of another's, or would be in a larger box."""
+    relative = np.linalg.inv(reference.object_from_index) @ grid.object_from_index
+    apart = relative - np.eye(4)
+    apart[:3, 3] -= np.round(apart[:3, 3])
+    return bool(np.abs(apart[:3, :3]).max() <= 1e-4 and np.abs(apart[:3, 3]).max() <= 1e-2)
 
 
 def _on(
@@ -85,12 +119,11 @@ def _on(
 ) -> tuple[np.ndarray | SparseGrid, np.ndarray]:
     """A grid on the voxels of another, and the offset int (3,) of its box from the other's."""
     relative = np.linalg.inv(reference.object_from_index) @ grid.object_from_index
-    offset = np.round(relative[:3, 3])
-    same = np.abs(relative[:3, :3] - np.eye(3)).max() <= 1e-4 and np.abs(relative[:3, 3] - offset).max() <= 1e-2
+    offset = np.round(relative[:3, 3]).astype(int)
     both_sparse = isinstance(grid.density, SparseGrid) and isinstance(reference.density, SparseGrid)
-    apart = (_blocks_start(grid) - _blocks_start(reference) - offset.astype(int)) % EDGE
-    if same and not (both_sparse and apart.any()):
-        return grid.density, offset.astype(int)
+    apart = (_blocks_start(grid) - _blocks_start(reference) - offset) % EDGE
+    if _is_on(grid, reference) and not (both_sparse and apart.any()):
+        return grid.density, offset
     return _resampled(grid, reference, name, where, check)
 
 

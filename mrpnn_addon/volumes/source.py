@@ -112,14 +112,21 @@ class FileSource(VolumeSource):
         material, probe = self.material, self.probe
         require_a_grid(material, probe)
         read, invalid = self._grids(started)
-        common = common_voxels(read, shaping_grids(material, probe, list(read)), self.where, check)
+        outside = shading_at(
+            material, probe, {name: read[name].background if name in read else 0.0 for name in probe.names}
+        )
+        emits = bool(outside.emission.any())
+
+        def refines(voxels: int, is_negative: bool) -> bool:
+            # Cycles' boxes are those of the file's own voxels.
+            return not emits and is_refined(material, probe, voxels, is_negative)
+
+        common = common_voxels(read, shaping_grids(material, probe, list(read)), self.where, check, refines)
         common.warnings += invalid
         check()
-        outside = shading_at(material, probe, {name: common.backgrounds.get(name, 0.0) for name in probe.names})
         if not probe.placed or any(common.backgrounds.values()):
             require_empty_background(material, outside, common.backgrounds)
         object_from_index, shape = common.object_from_index, common.shape
-        emits = bool(outside.emission.any())
         many = np.prod(shape.astype(float)) > MAX_VOXELS
         if not emits and (many or any(isinstance(grid, SparseGrid) for grid in common.grids.values())):
             return self._shade_blocks(common, check), object_from_index, common.warnings
@@ -136,16 +143,17 @@ class FileSource(VolumeSource):
             object_from_index[:3, 3] += object_from_index[:3, :3] @ (first - common.low)
             filled = boxes(grids, common.backgrounds)
         notes = []
-        if is_refined(material, probe, next(iter(grids.values())).size, common.is_negative):
+        is_fine = common.is_refined
+        if not is_fine and is_refined(material, probe, next(iter(grids.values())).size, common.is_negative):
+            is_fine = True
             grids = {name: refine(values, common.backgrounds.get(name, 0.0)) for name, values in grids.items()}
             filled = None if filled is None else refine(filled)
             object_from_index[:3, 3] -= 0.5 * object_from_index[:3, :3].sum(axis=1)
             object_from_index[:3, :3] *= 0.5
-            if outside.blackbody is not None and INTERPOLATES_EMISSION:
-                notes = [
-                    "with nodes that change its density, its blackbody is rendered as before Blender 5.0, which "
-                    "is darker"
-                ]
+        if is_fine and outside.blackbody is not None and INTERPOLATES_EMISSION:
+            notes = [
+                "with nodes that change its density, its blackbody is rendered as before Blender 5.0, which is darker"
+            ]
         domain = VoxelDomain(grids, self._frames(object_from_index), emitting=filled, vectors=probe.vectors)
         shaded = shade(material, domain, check)
         shaded.notes = shaded.notes + notes

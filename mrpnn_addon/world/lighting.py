@@ -54,8 +54,7 @@ def read_world(
     name = f'World "{world.name}"'
     warnings = ignored_settings(world, WORLD, name)
     output = active_output(world)
-    if output is not None and source_of(output.inputs["Volume"]).node is not None:
-        warnings.append(f"{name}: {WORLD_FOG}")
+    warnings += fog_warnings(world)
     if not _visible_to_volumes(world):
         return [], [], warnings
     sphere = Sphere()
@@ -78,6 +77,14 @@ def read_world(
             warnings.append(f"{name} reads Light Path > Ray Depth; volumes get its light for a Ray Depth of 1")
     found = [Environment(sphere.image(radiance), name=name)] if radiance.max() > 0.0 else []
     return discs, found, warnings
+
+
+def fog_warnings(world: "bpy.types.World | None") -> list[str]:
+    """Warning of a World with a volume."""
+    output = None if world is None else active_output(world)
+    if world is None or output is None or source_of(output.inputs["Volume"]).node is None:
+        return []
+    return [f'World "{world.name}": {WORLD_FOG}']
 
 
 def surface_light_warnings(depsgraph: "bpy.types.Depsgraph") -> list[str]:

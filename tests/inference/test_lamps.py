@@ -469,15 +469,25 @@ def test_surfaces_shadow_lamps():
     assert right == pytest.approx(lit[:, 13:], rel=1e-5)
 
 
-@pytest.mark.parametrize("position", [(0.0, 0.0, 0.1), (0.0, 0.0, 0.49), (0.0, 0.0, 0.51), (0.3, 0.2, 0.9)])
-def test_captured_light_is_that_of_rays_all_around(position):
-    grid, position = Grid(box(voxels=16)), np.array(position)
-    directions = np.random.default_rng(6).normal(size=(4000, 3))
+@pytest.mark.parametrize("height", [0.1, 0.49, 0.51, 0.9])
+@pytest.mark.parametrize("kind", ["point", "spot", "area"])
+def test_captured_light_is_that_of_its_rays(kind, height):
+    """A wall halfway through the box ends them."""
+    grid, position, down = Grid(box(voxels=16)), np.array([0.1, 0.2, height]), (0.0, 0.0, -1.0)
+    lamp = {
+        "point": PointLight(position, 1.0),
+        "spot": SpotLight(position, down, 1.0, 0.6, 0.4),
+        "area": AreaLight(np.block([[np.eye(3), position[:, None]], [np.zeros(3), 1.0]]), "square", 0.02, 1.0),
+    }[kind]
+    wall = np.array([[[-9.0, -9.0, -0.2], [9.0, -9.0, -0.2], [0.0, 18.0, -0.2]]])
+    placed = place_lamp(lamp, [grid], [Surface(wall)])
+    directions = np.random.default_rng(6).normal(size=(20000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    depth = 3.0 * _through(grid, position + 2.0 * directions, position, 200)
-    assert place_lamp(PointLight(position, 1.0), [grid]).captured([3.0]) == pytest.approx(
-        -np.expm1(-depth).mean(), abs=0.02
-    )
+    light = 4.0 * np.pi * 100.0**2 * lamp.fluence_at(position + 100.0 * directions)[:, 0]
+    with np.errstate(divide="ignore"):
+        way = np.where(directions[:, 2] < 0.0, (-0.2 - height) / directions[:, 2], np.inf)
+    depth = 3.0 * _through(grid, position + np.minimum(way, 2.0)[:, None] * directions, position, 200)
+    assert placed.captured([grid], [3.0]) == pytest.approx((light * -np.expm1(-depth)).mean(), rel=0.04)
 
 
 def test_the_light_of_a_lamp_changes_steadily_as_it_enters_smoke():

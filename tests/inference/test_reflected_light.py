@@ -5,11 +5,22 @@ import numpy as np
 import pytest
 
 import training.rpnn  # noqa: F401  Lets settings name it.
-from inference import Environment, Medium, PointLight, RenderCache, SceneError, Settings, Sun, Surface, render
+from inference import (
+    Environment,
+    Medium,
+    PointLight,
+    RenderCache,
+    SceneError,
+    Settings,
+    SpotLight,
+    Sun,
+    Surface,
+    render,
+)
 from inference.image.reflected_light import open_volume
 from inference.occluders.seen_surfaces import open_sky, see_surfaces, vantage
 from inference.scene.environment import PlaceLattice
-from tests.support.surfaces import rectangle
+from tests.support.surfaces import rectangle, room
 from tests.support.volumes import box, camera, cloud
 
 CLOUD, CACHE = cloud(voxels=32), RenderCache()
@@ -66,6 +77,21 @@ def test_black_surfaces_throw_nothing_back():
     black, plain = (picture([DOWN], [ground(reflectance)]) for reflectance in (0.0, 0.5))
     assert black.report.counts["environments"] == 0 and plain.report.counts["environments"] == 1
     assert plain.rgb.mean() > 1.1 * black.rgb.mean()
+
+
+def test_a_spot_that_shines_away_throws_no_light_back():
+    down, up = (
+        [picture([SpotLight((0.0, 0.0, 1.0), (0.0, 0.0, z), 50.0, 0.5)], [ground(value)]) for value in (0.5, 0.0)]
+        for z in (-1.0, 1.0)
+    )
+    assert down[0].rgb.mean() > 1.01 * down[1].rgb.mean()
+    np.testing.assert_array_equal(up[0].rgb, up[1].rgb)
+
+
+def test_a_sun_on_a_closed_roof_throws_no_light_below():
+    walls = room((-3.0, -3.0, -0.8), (3.0, 3.0, 2.0), reflectance=0.8, covers=False)
+    below = picture([DOWN], [walls])
+    assert below.rgb.max() < 1e-3 * picture([DOWN], [ground(0.8)]).rgb.max()
 
 
 def test_light_of_surfaces_is_linear_in_the_suns():

@@ -241,6 +241,8 @@ def test_estimates_of_new_scenes_err_by_a_factor_of_two_at_most(addon, scene):
     # Glowing fire and thick fog besides, in the benchmark.
     names = (
         "cloud, grey World",
+        "cloud, World of an image",
+        "smoke, four point lamps",
         "fog in a cube, three spots",
         "camera in smoke, grey World",
         "cloud over a floor, grey World",

@@ -12,7 +12,7 @@ from tests.support import blender_scenes
 def way(scene, tmp_path):
     from mrpnn.mrpnn_addon.status.recommendation import recommend
 
-    blender_scenes.cloud_scene(scene, tmp_path)
+    blender_scenes.cloud_scene(scene, tmp_path, density=20.0)
     return lambda: recommend(blender_scenes.depsgraph())
 
 
@@ -63,6 +63,15 @@ def test_a_composite_is_not_recommended_where_there_is_one(way, scene):
 def test_mirrors_and_glass_need_baked_light(way, scene, shader, values, reason):
     plane(scene, shader, **values)
     assert way().way == "baked light" and f"has {reason}, which" in way().reason
+
+
+@pytest.mark.parametrize("density, expected", [(0.3, "Cycles"), (30.0, "baked light")])
+def test_thin_fog_is_quicker_without_a_bake(way, scene, density, expected):
+    plane(scene, "ShaderNodeBsdfGlass", Roughness=0.0)
+    bpy.data.objects.remove(scene.objects["Cloud"])
+    bpy.ops.mesh.primitive_cube_add(size=4.0)
+    blender_scenes.add_fog(bpy.context.object.data, "Fog", "ShaderNodeVolumePrincipled", Density=density)
+    assert way().way == expected and "has glass, which" in way().reason
 
 
 def test_blur_needs_no_more_than_the_layer(way, scene):

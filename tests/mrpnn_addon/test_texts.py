@@ -146,14 +146,20 @@ def test_grids_beside_one_whose_name_is_not_utf8_are_rendered(addon, scene, clou
     still(str(tmp_path / "still.png"))()
 
 
+def saved_with_wrong_names(folder):
+    """Opens the file again, with bytes that are not UTF-8 in place of PLAIN."""
+    path = folder / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=False)
+    path.write_bytes(path.read_bytes().replace(PLAIN.encode(), WRONG))
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return bpy.context.scene
+
+
 def test_names_that_are_not_utf8_are_told(addon, scene, cloud, tmp_path):
     """Of a file that another program wrote: Blender's Python cannot read such names."""
     scene.name = f"Scene{PLAIN}"
     cloud.name = f"Cloud{PLAIN}"
-    path = tmp_path / "scene.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=False)
-    path.write_bytes(path.read_bytes().replace(PLAIN.encode(), WRONG))
-    bpy.ops.wm.open_mainfile(filepath=str(path))
+    saved_with_wrong_names(tmp_path)
     doors = {
         "check": bpy.ops.mrpnn.check,
         "render": bpy.ops.mrpnn.render,
@@ -165,3 +171,20 @@ def test_names_that_are_not_utf8_are_told(addon, scene, cloud, tmp_path):
         message = refused(door)
         assert r"\xff\xfe" in message and "is not UTF-8; rename it" in message, (name, message)
         assert "bug" not in message and "Traceback" not in message
+
+
+def test_an_animation_tells_names_that_are_not_utf8_in_words(addon, scene, cloud, tmp_path):
+    """Of the camera, without which there is no empty picture either."""
+    scene.camera.name, scene.frame_end = f"Camera{PLAIN}", 2
+    scene = saved_with_wrong_names(tmp_path)
+    scene.render.engine, scene.render.filepath = "MRPNN", str(tmp_path / "frame#")
+    message = refused(lambda: bpy.ops.render.render(animation=True))
+    assert r"Camera\xff\xfe" in message and "rename it" in message and "codec" not in message, message
+
+
+@pytest.mark.slow
+def test_a_scene_whose_name_is_not_utf8_is_compared(addon, scene, cloud, tmp_path):
+    scene.name, scene.render.engine = f"Scene{PLAIN}", "MRPNN"
+    saved_with_wrong_names(tmp_path)
+    bpy.ops.mrpnn.compare(samples=1, ladder=1, scale=25, folder=str(tmp_path / "comparison"))
+    assert r"Scene\xff\xfe" in (tmp_path / "comparison" / "report.html").read_text()

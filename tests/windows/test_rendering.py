@@ -371,6 +371,46 @@ def test_a_click_on_the_button_renders_into_the_image(window):
     window.until(f"not {THREADS}")
 
 
+def test_a_click_on_check_scene_lists_what_is_left_out(window):
+    window.do(
+        "import sys; check = next(m for n, m in sys.modules.items() if n.endswith('mrpnn_addon.status.scene_check'))\n"
+        "lost = bpy.data.volumes.new('Lost'); lost.filepath = WORK + '/lost.vdb'\n"
+        "lost = bpy.data.objects.new('Lost', lost); bpy.context.scene.collection.objects.link(lost)\n"
+        "area('PROPERTIES').spaces.active.context = 'RENDER'"
+    )
+    left, top, right, bottom = window.box("PROPERTIES")
+    middle, said = (left + right) // 2, window.console
+    try:
+        row = window._tool("find_button", window.suite, "mrpnn.check", str(middle - 40), str(top + 150), str(bottom))
+        window.mouse("mousemove", middle - 40, row)
+        time.sleep(0.5)
+        window.mouse("click", 1)
+        window.until("check.last_check() is not None")
+        told = window.do("print(*check.last_check().warnings)")
+        window.shot("check-scene", (left, top, right, bottom))
+    finally:
+        window.do("bpy.data.objects.remove(lost)")
+    assert '"Lost"' in told and "file not found" in told
+    assert "Traceback" not in window.console[len(said) :]
+
+
+def test_esc_in_the_viewport_stops_nothing(window):
+    """It belongs to Blender's own tools; the pictures go on to the last one."""
+    window.do(
+        "import gc; s = area('VIEW_3D').spaces.active; s.region_3d.view_perspective = 'CAMERA'\n"
+        "shown = region(area('VIEW_3D')); s.shading.type = 'RENDERED'"
+    )
+    said = window.console
+    try:
+        for _ in range(3):
+            window.press("Escape")
+        window.until(f"{PICTURE} == [round(edge / 4) for edge in (shown.width, shown.height)]")
+    finally:
+        window.do("s.shading.type = 'WIREFRAME'")
+        window.until(f"not {THREADS}")
+    assert "Traceback" not in window.console[len(said) :]
+
+
 @pytest.mark.newest
 def test_loading_a_file_during_a_render_ends_the_render(window):
     """By the operator and by the render engine; the next render works."""

@@ -59,8 +59,8 @@ MATRICES = {
     "mirrored": np.diag([1.0, -1.0, 1.0, 1.0]),
     "sheared": np.array([[1.0, 0.3, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.2, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
 }
-# Seconds of processor time that one call may take: Esc must work within a second.
-CALL = 0.1
+# Seconds of processor time that one call may take: Esc must work within a second, on slow and busy machines too.
+CALL = 0.3
 
 
 def assert_close(expected, found, tolerance=TOLERANCE):

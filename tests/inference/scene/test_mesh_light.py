@@ -141,3 +141,45 @@ def test_a_mesh_around_volumes_does_not_shine_from_their_middle(surface, most):
     found = sum(part.fluence(POINTS) for part in light.emitters(LOW, HIGH, most)) * light.power[0]
     assert np.sqrt(((found - exact) ** 2).mean()) < 0.2 * exact.mean()
     assert found.mean() == pytest.approx(exact.mean(), rel=0.15)
+
+
+def bars(count=5):
+    """Boxes behind each other, seen from the volumes."""
+    corners = np.array(np.meshgrid((-0.1, 0.1), (-0.4, 0.4), (-0.4, 0.4), indexing="ij")).reshape(3, -1).T
+    faces = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    one = corners[np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])]
+    return Surface(np.concatenate([one + (3.0 + 0.4 * n, 0.0, 0.0) for n in range(count)]), "bars", emission=2.0)
+
+
+def seen_first(surface, places):
+    """Fluence at places (N, 3) of a closed surface, by rays through a fine image each: the first triangle is seen."""
+    triangles, found = surface.triangles, []
+    middle = triangles.reshape(-1, 3).mean(axis=0)
+    for place in places:
+        forward = (middle - place) / np.linalg.norm(middle - place)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        grid = np.linspace(-0.6, 0.6, 96)
+        x, y = np.meshgrid(grid, grid)
+        rays = forward + x[..., None] * right + y[..., None] * np.cross(right, forward)
+        hit = np.zeros(x.shape, bool)
+        for a, b, c in triangles:
+            # Moeller and Trumbore.
+            u, v = b - a, c - a
+            across = np.cross(rays, v)
+            determinant = across @ u
+            with np.errstate(all="ignore"):
+                first = (across @ (place - a)) / determinant
+                second = rays @ np.cross(place - a, u) / determinant
+            hit |= (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0)
+        solid = (grid[1] - grid[0]) ** 2 / (1.0 + x**2 + y**2) ** 1.5
+        found.append(2.0 * solid[hit].sum())
+    return np.array(found)
+
+
+def test_what_a_mesh_hides_of_itself_does_not_shine():
+    places, surface = POINTS[::20], bars()
+    expected, found = seen_first(surface, places), fluence(MeshLight(surface), places)
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.15)
+    # Without what is hidden, the bars would shine more.
+    assert summed(surface, places).mean() > 1.5 * expected.mean()

@@ -60,6 +60,16 @@ def test_cycles_shows_the_layer_after_baking_and_single_scattering_before(addon,
     assert image[..., :3].mean() == pytest.approx(layer.rgb.mean(), rel=0.04)
 
 
+@pytest.mark.parametrize("frames", ["one", "all"])
+def test_frames_without_a_volume_leave_the_scene_as_it_is(addon, scene, cloud, tmp_path, frames):
+    cloud.scale = (0.0, 0.0, 0.0)
+    scene.render.engine, scene.frame_end = "MRPNN", 2
+    operator = {"one": bpy.ops.mrpnn.bake_light, "all": bpy.ops.mrpnn.bake_animation}[frames]
+    assert operator(folder=str(tmp_path / "light")) == {"FINISHED"}
+    assert (scene.render.engine, scene.cycles.volume_bounces, lights()) == ("MRPNN", 7, [])
+    assert not bpy.ops.mrpnn.bake_light_remove.poll()
+
+
 @pytest.mark.slow
 def test_another_camera_sees_its_own_light_in_its_colours(addon, scene, cloud, tmp_path):
     shader = next(node for node in cloud.data.materials[0].node_tree.nodes if node.type == "PRINCIPLED_VOLUME")
@@ -165,6 +175,16 @@ def test_only_what_has_changed_is_baked_again(addon, scene, cloud, tmp_path):
     bpy.data.objects.remove(other)
     bake(tmp_path)
     assert [shown["mrpnn_light"] for shown in lights()] == ["Cloud"]
+
+
+def test_materials_have_few_nodes(addon, scene, cloud, tmp_path):
+    """EEVEE compiles them for seconds, or minutes without a graphics card."""
+    counts = []
+    for directional in (True, False):
+        bake(tmp_path, directional=directional, everything=True)
+        [shown] = lights()
+        counts.append(len(shown.data.materials[0].node_tree.nodes))
+    assert counts[0] <= 150 and counts[1] <= 12
 
 
 def test_files_are_half_floats_without_empty_voxels(addon, scene, cloud, tmp_path):

@@ -108,10 +108,10 @@ def test_fog_is_as_dense_as_in_cycles(addon, scene, tmp_path, add):
 @pytest.mark.slow
 @pytest.mark.parametrize("add", [add_text, add_curve, add_metaballs])
 def test_fog_is_lit_as_brightly_as_in_cycles(addon, scene, tmp_path, add):
-    """By a glowing object outside the view, no part of which hides another."""
+    """By a glowing object outside the view; letters hide each other."""
     shown = add(scene)
     if shown.type == "FONT":
-        shown.data.body = "I"
+        shown.data.body, shown.data.size, shown.data.extrude = "Glow", 1.2, 0.1
     for one in scene.objects:
         one.location.x = 4.0
     material = bpy.data.materials.new("Glow")

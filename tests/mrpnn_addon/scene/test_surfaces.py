@@ -9,7 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 from mathutils import Vector
 
-from inference import Cancelled, Settings, render
+from inference import Cancelled, SceneError, Settings, render
 from tests.support import blender_scenes
 
 
@@ -118,6 +118,10 @@ def test_a_surface_that_hides_its_own_fog_says_how_to_show_it(addon, scene, tmp_
     assert said() == []
     tree.links.new(fog.outputs[0], output.inputs["Volume"])
     assert len(said()) == 2 and all('"Ball" hides the fog of its own material' in text for text in said())
+    scene.objects["Cloud"].hide_viewport = scene.objects["Cloud"].hide_render = True
+    with pytest.raises(SceneError, match='"Ball" hides the fog of its own material'):
+        read(addon)
+    scene.objects["Cloud"].hide_viewport = scene.objects["Cloud"].hide_render = False
     tree.links.remove(output.inputs["Surface"].links[0])
     assert said() == [] and len(read(addon).volumes) == 2
 

@@ -278,6 +278,17 @@ def test_grids_on_other_voxels_are_sampled_as_in_cycles(addon, scene, tmp_path, 
     assert_alike(addon, scene, tmp_path)
 
 
+def test_temperatures_half_a_voxel_beside_the_density_glow_as_in_cycles(addon, scene, tmp_path):
+    """Between them, the mean of eight uneven ones, it would glow less."""
+    hot = 2000.0 * uneven(seed=1)
+    heat = grid_of(hot.astype(np.float32), "temperature", turned(CELLS, 2.0, shift=1.0 / CELLS))
+    show(scene, write(tmp_path, grid_of(uneven()), heat), Blackbody_Intensity=1.0)
+    layer, seen = pictures(addon, scene, tmp_path)
+    assert seen[..., 0].mean() > 0.1
+    bright = layer.rgb.mean(axis=(0, 1)) / seen[..., :3].mean(axis=(0, 1))
+    np.testing.assert_allclose(bright[0], 1.0, atol=0.1)
+
+
 def test_a_grid_too_fine_for_the_memory_is_named(addon, scene, tmp_path, monkeypatch):
     """Here of a light that no density needs."""
     heat = grid_of(blender_scenes.blob(15) + 0.2, "heat", turned(15, 2.0))

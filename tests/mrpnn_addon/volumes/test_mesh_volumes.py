@@ -272,8 +272,11 @@ def test_a_world_of_fog_alone_is_named_with_what_is_rendered(addon, scene):
     tree.links.new(
         tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], tree.get_output_node("CYCLES").inputs["Volume"]
     )
-    with pytest.raises(SceneError, match='World "World": its fog is not rendered; use a large cube'):
+    said = 'World "World": its fog is not rendered; use a large cube'
+    with pytest.raises(SceneError, match=said):
         read(addon)
+    with pytest.raises(RuntimeError, match=said):
+        bpy.ops.mrpnn.composite()
 
 
 @pytest.mark.parametrize("density", [0.1, 1000.0])
