@@ -54,6 +54,21 @@ def far_away():
     return same(draw(volume, view=view))
 
 
+def at_one_place(count: int):
+    """So many instances of the cloud inside each other, which share its extinction."""
+    medium = Medium(30.0 / count, 0.95, 0.5)
+    volumes = [(CLOUD.instance(CLOUD.world_from_index, f"cloud {n}"), medium) for n in range(count)]
+    return same(render(volumes, [SUN], VIEW, Settings(4)))
+
+
+def nested(count: int):
+    """Instances inside each other, each half as large as the one around it and as thick."""
+    volumes = [(moved(CLOUD, 0.5**n * np.eye(3)), Medium(30.0 * 2.0**n, 0.95, 0.5)) for n in range(count)]
+    layer = render(volumes, [SUN], VIEW, Settings(4))
+    around = plain().alpha - layer.alpha
+    return Outcome({"unsound": unsound(layer), "lost alpha": float(around.max())}, layer.rgb / layer.rgb.max())
+
+
 def nearly_white():
     """Albedo 1 - 1e-7 and 1."""
     one, less = (draw(medium=Medium(30.0, a, 0.5)).rgb for a in (1.0, 1.0 - 1e-7))
@@ -183,6 +198,7 @@ BOUNDED = {"unsound": 0.0, "share of the most": 1.0, "not told": 0.0}
 TRACED = {"unsound": 0.0, "relative RMSE": 0.4, "bias": 0.25}
 AHEAD, BEHIND = (Sun(sign * VIEW.world_matrix[:3, 2]) for sign in (-1.0, 1.0))
 
+NESTED = {"unsound": 0.0, "lost alpha": 1e-3}
 CASES = [
     Case(
         "law",
@@ -205,6 +221,16 @@ CASES = [
         for k in (1e-6, 1e6)
     ),
     Case("law", "the whole scene moved by 1e7", "itself", far_away, SAME),
+    Case("instances", "3 at one place", "one", functools.partial(at_one_place, 3), {"unsound": 0.0, "largest": 0.02}),
+    Case(
+        "instances",
+        "60 at one place, joined",
+        "one",
+        functools.partial(at_one_place, 60),
+        {"unsound": 0.0, "largest": 0.1},
+        True,
+    ),
+    Case("instances", "12 inside each other", "the largest", functools.partial(nested, 12), NESTED),
     Case("law", "albedo 1 − 1e-7 is albedo 1", "itself", nearly_white, {"largest": 1e-4}),
     Case("law", "albedo 1, 0.5 and 0 by channel", "grey ones", coloured, {"unsound": 0.0, "largest": 1e-5}, True),
     Case("law", "8192 × 8192 pixels", "a part alone", large_image, {"unsound": 0.0, "largest": 1e-5}),

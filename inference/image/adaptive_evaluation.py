@@ -109,6 +109,10 @@ def evaluate_adaptively(
     inside: samples to predict at. window: of the P pixels. single: (C, P), single scattering of the sun.
     masking: (P,), other light beside which errors are tolerated as beside its own, or None.
     """
+    voxel = estimate.pixels_per_voxel()
+    if voxel.max(initial=0.0) < LEAST_VOXEL:
+        estimate.evaluate(inside)
+        return
     # What is interpolated is the mean over the opacity, which is known in every pixel.
     opacity, guide = estimate.opacity()
     safe = np.where(opacity > 0.0, opacity, np.float32(1.0))
@@ -135,7 +139,7 @@ def evaluate_adaptively(
         mean[:, seen] = estimate.radiance.take(seen, axis=1) / divisor.take(seen, axis=-1)
         error[seen] = estimate.error[seen] / safe[seen]
 
-    voxel, shows = estimate.pixels_per_voxel(), opacity > 0.0
+    shows = opacity > 0.0
     # Pixels of several rays are joined afterwards, which divides their differences further.
     for stride, least in LEVELS:
         difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)

@@ -8,7 +8,7 @@ exact (`kernels/march.c`).
 import copy
 import functools
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from ctypes import addressof, c_int32, c_void_p
 from dataclasses import replace
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from ..grids.bound_medium import BoundMedium
 from ..grids.dense_grid import DenseGrid
 from ..grids.described import describe_grid, describe_occupancy
+from ..grids.sun_optical_depth import SunOpticalDepth
 from ..kernels import library, structures
 from ..numerics.quadrature import legendre_nodes
 from ..occluders.shadow_map import ShadowMap
@@ -56,7 +57,7 @@ from .ray_steps import (
 )
 
 # Describes something for kernels, once.
-Once = Callable[[Callable[[Any], structures.Shared], Any], structures.Shared]
+Once = Callable[..., structures.Shared]
 
 
 class Marcher:
@@ -320,13 +321,14 @@ def describe_media(
 
     lamps: whether their phase functions are tabulated, for the light of lamps.
     """
-    known: dict[int, structures.Shared] = {}
+    known: dict[Hashable, structures.Shared] = {}
 
-    def once(describe: Callable[[Any], structures.Shared], what: Any) -> structures.Shared:
+    def once(describe: Callable[..., structures.Shared], what: Any, *more: Hashable) -> structures.Shared:
         """The same for instances, which share what they hold."""
-        if id(what) not in known:
-            known[id(what)] = describe(what)
-        return known[id(what)]
+        key = id(what), *more
+        if key not in known:
+            known[key] = describe(what, *more)
+        return known[key]
 
     return [_describe_medium(medium, channels, scattering, lamps, once) for medium in media]
 
@@ -344,7 +346,7 @@ def _describe_medium(
         density=density,
         held=grid.density.filled_bits if isinstance(grid.density, DenseGrid) else None,
         occupancy=occupancy,
-        suns=structures.array_of([depth.described(medium.sigma_t) for depth in medium.sun_depths]),
+        suns=structures.array_of([once(_described_depth, depth, medium.sigma_t) for depth in medium.sun_depths]),
         phase=_phase_table(medium.medium) if lamps else None,
         motion=None if motion is None else np.ascontiguousarray(motion.frames, np.float64),
         flow=structures.Flow() if flow is None else flow.described,
@@ -361,6 +363,10 @@ def _describe_medium(
     )
     described.referenced += [density, occupancy, *emission, *scattered]
     return described
+
+
+def _described_depth(depth: SunOpticalDepth, sigma_t: float) -> structures.Shared:
+    return depth.described(sigma_t)
 
 
 def _shadow_map(shadow_map: ShadowMap) -> structures.Shared:

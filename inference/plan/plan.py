@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene needs: sorted, then decided once what surfaces hide is known."""
 
+import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -183,7 +184,7 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
 def box_corners(volume: Volume) -> np.ndarray:
     """Corners (8, 3) of a volume's box in the world."""
     ends = [(-0.5, n - 0.5) for n in volume.density.shape]
-    index = np.array(np.meshgrid(*ends, indexing="ij")).reshape(3, -1).T
+    index = np.array(list(itertools.product(*ends)))
     return index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
 
 
