@@ -15,6 +15,24 @@ MADE = ("build", "data", "runs", ".venv")
 # Page, sentence with numbers, module, and of each number its value there.
 FACTS = [
     (
+        "docs/understand/method-details.md",
+        r"until the variance of direction reaches ([\d.]+) square",
+        "inference.plan.joined_lamps",
+        ("VARIANCE",),
+    ),
+    (
+        "docs/understand/optimizations.md",
+        r"until the variance of direction reaches ([\d.]+) square",
+        "inference.plan.joined_lamps",
+        ("VARIANCE",),
+    ),
+    (
+        "docs/understand/method.md",
+        r"κ is ([\d.]+), and ε is ([\d.]+) pixels",
+        "inference.blur.sharpness",
+        ("JOINED", "SHARP"),
+    ),
+    (
         "docs/understand/weights.md",
         r"Held-back seeds of evened volumes end at 1 (600) (999), those of solids at 1 (500) (999)",
         "training.procedural.volumes",
