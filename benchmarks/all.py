@@ -109,6 +109,7 @@ COMMANDS_5 = (
 #: What prints a table: the name of its CSV file in docs/tables.
 TABLES = {
     "benchmarks.cost.frame --table": "speed-frame",
+    "training.evaluate --held data/test --checkpoint inference/weights/mrpnn.onnx": "weights-points",
     "benchmarks.cost.speed": "speed-stages",
     "benchmarks.cost.environments --rounds 3": "speed-environments",
     MANY_LAMPS: "speed-many-lamps",
