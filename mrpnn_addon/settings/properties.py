@@ -99,7 +99,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         items=_OPTIMIZATION_ITEMS,
         default=set(ALL),
         options={"ENUM_FLAG"},
-        description="Shortcuts that save time without changing the picture. Turn one off to check",
+        description="Shortcuts that save time and hardly change the picture. Turn one off to check",
     )
     threads: IntProperty(
         name="Threads",
