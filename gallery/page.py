@@ -26,25 +26,27 @@ STEPS = {
 }
 WAYS = {
     "layer": "engine *MRPNN Volumes*",
-    "composite": "[*Composite over Cycles*](compositing.md)",
+    "composite": "[*Composite over Cycles*](composite.md)",
     "bake": "[*Bake Light*](baked-light.md), shown by Cycles",
 }
 HEAD = """# Gallery
 
-Eleven scenes of the kinds that artists light: use them as a start, or to see what a setting does. Scripts make the
-volumes and the .blend files, so that each clone can make them:
+Eleven scenes of the kinds that artists light: use them as a start, or to see what a setting does.
+
+Releases have all of them in a zip whose name begins with `mrpnn-gallery`. Install [the extension](install.md) first.
+Then install this zip from the menu of the Blender icon: *Install Application Template*. *File > New* lists the scenes.
+
+Scripts make the volumes and the .blend files. In a clone of the repository:
 
     .venv/bin/python -m gallery noon
     .venv/bin/python -m gallery --templates
 
-The first command makes one scene and its picture, in `build/gallery`. The second makes all scenes, and of them
-`build/gallery/mrpnn-gallery.zip`, which releases have, too. Install [the extension](install.md) first. Then install the
-zip from the menu of the Blender icon: *Install Application Template*. *File > New* lists the scenes.
+The first command makes one scene and its picture, in `build/gallery`. The second makes `mrpnn-gallery.zip` there.
 
 The smaller pictures compare with Cycles with 1024 bounces, denoised, in about the same processor seconds. Cycles has at
 least one sample per pixel, even where that takes longer. Errors are relative RMSE over the whole picture, in
-scene-linear values, against a longer render by Cycles without denoising. In thin fog and haze, where light scatters few
-times, Cycles errs as little.
+scene-linear values, against a longer render by Cycles without denoising. They include the blur of edges by Cycles'
+pixel filter, which the extension lacks. In thin fog, in haze and in the milk, Cycles has the smaller error.
 """
 
 

@@ -22,15 +22,19 @@ class Entry(NamedTuple):
 
 SCENES = {
     "noon": Entry(
-        "Cumulus at noon", clouds.noon, "White is many scatterings: this cloud would be grey with a few bounces."
+        "Cumulus at noon",
+        clouds.noon,
+        "The cloud is white because its light scatters many times. With a few bounces, it would be grey.",
     ),
     "dusk": Entry("Cumulus at dusk", clouds.dusk, "Baked light, so that Cycles shows the cloud in the water, too."),
     "inside": Entry("Among clouds", clouds.inside, "The camera stands within the volume, and looks towards a low sun."),
     "storm": Entry("Thunderstorm", clouds.storm, "Point lights within the cloud are its lightning."),
     "plume": Entry(
-        "Smoke", smoke.plume, "Dark smoke absorbs half of the light at each scattering. It is a simulation."
+        "Smoke",
+        smoke.plume,
+        "Dark smoke, which absorbs half of the light at each scattering. It comes from a simulation.",
     ),
-    "fire": Entry("Fire", smoke.fire, "A blackbody by a grid of temperatures. Its light scatters in the smoke."),
+    "fire": Entry("Fire", smoke.fire, "A grid of temperatures makes the fire glow. Its light scatters in the smoke."),
     "explosion": Entry("Explosion", smoke.explosion, "A sequence of 24 files: render it as an animation."),
     "fog": Entry("Fog in a hall", rooms.fog, "Walls shade the fog. Composite over Cycles renders them."),
     "stage": Entry(

@@ -16,7 +16,7 @@ from ..mrpnn_addon.world.lighting import fog_warnings
 
 class MRPNN_OT_composite(bpy.types.Operator):
     """Render this scene in Cycles, its volumes in a second scene with MRPNN, and put them together in the compositor.
-    Volumes end at surfaces"""
+    Surfaces hide the volumes behind them"""
 
     bl_idname = "mrpnn.composite"
     bl_label = "Composite over Cycles"
@@ -71,7 +71,7 @@ class MRPNN_OT_composite_remove(bpy.types.Operator):
 
 
 class MRPNN_OT_show_scene(bpy.types.Operator):
-    """Show this scene in the window"""
+    """Show the other scene of the composite in this window"""
 
     bl_idname = "mrpnn.show_scene"
     bl_label = "Go to Scene"

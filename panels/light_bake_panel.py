@@ -67,7 +67,12 @@ class MRPNN_PT_baked_light(bpy.types.Panel):
         if missing_in_eevee := _told(context).lacking:
             draw_text(context, layout, missing_in_eevee, "INFO")
         if hasattr(scene, "cycles") and scene.cycles.volume_bounces > 0 and scene.render.engine == "CYCLES":
-            draw_text(context, layout, "With volume bounces, Cycles adds the light twice; set them to 0", "ERROR")
+            draw_text(
+                context,
+                layout,
+                "Cycles adds the light twice; set Light Paths > Max Bounces > Volume to 0",
+                "ERROR",
+            )
         if not live:
             # Beside another button, the default width would truncate it.
             layout.operator(MRPNN_OT_bake_light.bl_idname, text="Bake What Has Changed", icon="FILE_REFRESH")

@@ -22,7 +22,8 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
     def draw(self, context: "bpy.types.Context") -> None:
         layout, shown, check = self.layout, context.object, last_check()
         if check is None:
-            draw_text(context, layout, "Check Scene in the render properties reads its voxels", "INFO")
+            said = "Press Check Scene in Render Properties to see what is rendered of this volume"
+            draw_text(context, layout, said, "INFO")
             return
         column = layout.column()
         column.active = not check.outdated(context.scene)

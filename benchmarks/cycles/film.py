@@ -198,23 +198,24 @@ def page(found, options) -> str:
     lines = [
         "# A film",
         "",
-        found["made_by"],
+        "Any scene renders as a film: `blender -b scene.blend -E MRPNN -a`. In a scene with [*Composite over",
+        "Cycles*](composite.md), leave out `-E MRPNN`.",
         "",
-        "A sequence of `.vdb` files over ground and under a sky: the volumes by the extension, the rest by *Composite",
-        f"over Cycles* {bpy.app.version_string}, with {GROUND_SAMPLES} samples, denoised. Any scene renders as a film",
-        "with `blender -b scene.blend -E MRPNN -a`.",
+        "This film is a sequence of `.vdb` files over ground and under a sky. The extension renders the volumes.",
+        f"*Composite over Cycles* renders the rest in Blender {bpy.app.version_string}, with {GROUND_SAMPLES} samples,",
+        "denoised.",
         "",
         "![Frames of the plume over ground](../images/film.png)",
         "",
-        f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. Medians of a",
-        f"frame: the layer takes {seconds:.1f} processor seconds, with reading the scene and writing the file. The",
-        f"whole frame takes {whole:.1f}, with the layer.",
+        f"{len(frames)} frames, {width} × {height} pixels, {options.depth_samples} depth samples. In the",
+        f"median, the layer of a frame takes {seconds:.1f} processor seconds, with reading the scene and writing the",
+        f"file. The whole frame takes {whole:.1f}, with the layer.",
     ]
     if compared:
         lines += [
             "",
-            f"Some layers beside Cycles, at {options.scale} % of the size, without the ground. Cycles renders twice,",
-            f"with {options.samples} samples per pixel each, so that its own noise does not count:",
+            f"Errors of some layers against Cycles, at {options.scale} % of the size, without the ground. Cycles",
+            f"renders twice, with {options.samples} samples per pixel each, so that its own noise does not count:",
             "",
             "| file | relative RMSE | bias | alpha bias |",
             "|---|---|---|---|",
@@ -232,14 +233,15 @@ def page(found, options) -> str:
     ]
     lines += [
         "",
-        "By how much a frame changes where nothing in the scene does: root mean square over its mean.",
-        "A voxel of almost no density beyond one face of the grid gives another working cube, as a growing",
-        "cloud does.",
+        "The last table shows by how much a frame changes when nothing visible changes, as root mean square over its",
+        "mean. *Again* is a second render. In the other rows, the grid has an almost empty voxel more, as that of a",
+        "growing cloud has.",
         "",
         "| | change |",
         "|---|---|",
     ]
     lines += [f"| {name} | {value:.2%} |" for name, value in found["steadiness"].items()]
+    lines += ["", found["made_by"]]
     return "\n".join(lines) + "\n"
 
 

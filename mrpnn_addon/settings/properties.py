@@ -61,7 +61,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         get=_preset,
         set=_choose_preset,
         options={"SKIP_SAVE"},
-        description="Number of depth samples",
+        description="Quality of multiple scattering, by the number of depth samples",
     )
     depth_samples: IntProperty(
         name="Depth Samples",
@@ -69,7 +69,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         min=1,
         max=256,
         soft_max=64,
-        description="Points along each camera ray at which the network predicts multiple scattering",
+        description="Points along each camera ray at which the network predicts multiple scattering. More are more "
+        "exact and take longer",
     )
     blur_rays: IntProperty(
         name="Blur Rays",
@@ -98,7 +99,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         items=_OPTIMIZATION_ITEMS,
         default=set(ALL),
         options={"ENUM_FLAG"},
-        description="Shortcuts that save time without changing the picture. Turn one off to check",
+        description="Shortcuts that save time and hardly change the picture. Turn one off to check",
     )
     threads: IntProperty(
         name="Threads",

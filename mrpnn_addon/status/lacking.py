@@ -27,7 +27,7 @@ def lacking(depsgraph: "bpy.types.Depsgraph") -> str:
     if lights_volumes(scene.world):
         missing.append("shadows in the World's light")
     if not scene.eevee.use_volumetric_shadows and any(map(_is_light, shown)):
-        missing.append("shadows within volumes (switch on Volumes > Volume Shadows)")
+        missing.append("shadows within volumes (turn on Sampling > Shadows > Volume Shadows)")
     return f"EEVEE still lacks {', '.join(missing)}" if missing else ""
 
 

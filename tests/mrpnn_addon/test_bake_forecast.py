@@ -139,7 +139,7 @@ def test_eevee_says_what_it_still_lacks(addon, scene, cloud):
     scene.camera.data.type = "PERSP"
     assert told(blender_scenes.depsgraph()) == ""
     scene.eevee.use_volumetric_shadows = False
-    assert "switch on Volumes > Volume Shadows" in told(blender_scenes.depsgraph())
+    assert "turn on Sampling > Shadows > Volume Shadows" in told(blender_scenes.depsgraph())
     scene.eevee.use_volumetric_shadows = True
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 1.0
     bpy.ops.mesh.primitive_plane_add()
