@@ -129,8 +129,6 @@ TABLES = {
     "benchmarks.cycles.baked_film --size 32 --frames 12": "baked-flicker",
     "benchmarks.cycles.baked_surroundings --size 40 --samples 512": "baked-surroundings",
     "benchmarks.cycles.baked_light": "baked-views",
-    "benchmarks.cycles.baked_room": "baked-room",
-    "benchmarks.cycles.baked_frames": "baked-frames",
     EEVEE: "baked-eevee",
     "benchmarks.cycles.baked_ways": "baked-ways",
 }

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The matrix of doors and features in a whole Blender program, with the installed extension."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -25,4 +26,5 @@ def test_every_door_opens_for_every_feature(program):
         (folder / "__init__.py").touch()
     process = program.start("-b", "--python", tests / "matrix" / "run.py", "--")
     out, error = process.communicate(timeout=3600)
-    assert process.returncode == 0, out[-20000:] + error[-3000:]
+    told = re.sub(r"^row .*: good \[[\d., ]+\]\n", "", out, flags=re.MULTILINE)
+    assert process.returncode == 0, told[-20000:] + error[-3000:]
