@@ -190,8 +190,9 @@ def _key(shown: VisibleObject, placed: bool) -> tuple:
 
 
 def carries(shown: VisibleObject) -> bool:
-    """Whether motion blur is to show a volume's velocities, if it has any."""
-    return shows_volume(shown.object) and bool(motion_steps(shown.object) and motion_steps(shown.host))
+    """Whether motion blur is to show a volume's velocities, if its file or domain has any."""
+    moves = shows_volume(shown.object) and bool(motion_steps(shown.object) and motion_steps(shown.host))
+    return moves and _velocity_scale(shown)[0] != 0.0
 
 
 def _velocity_scale(shown: VisibleObject) -> tuple[float, bool]:

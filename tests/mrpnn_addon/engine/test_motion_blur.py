@@ -237,6 +237,14 @@ def test_velocities_that_are_not_to_be_shown_are_not(addon, motion_scene, tmp_pa
     assert read(motion_scene).volumes[0][0].velocity is None
 
 
+def test_fog_in_a_mesh_has_no_velocities_to_read_ahead(addon, motion_scene):
+    reader = importlib.import_module("mrpnn.mrpnn_addon.volumes.reader").VolumeReader()
+    before = len(reader.wanted(make.depsgraph()))
+    bpy.ops.mesh.primitive_cube_add(size=0.5)
+    make.add_fog(bpy.context.object.data, "Fog", "ShaderNodeVolumePrincipled", Density=1.0)
+    assert len(reader.wanted(make.depsgraph())) == before + 1
+
+
 def test_spoiled_velocities_leave_a_picture(addon, motion_scene, tmp_path):
     values = np.full((3, 8, 8, 8), 1e30)
     values[:, ::2] = np.nan
