@@ -4,8 +4,7 @@
 Where a picture is blurred, neighbouring pixels show the same through different eyes. Each pixel becomes a mean of those
 around it, weighted by exp(-d (P + P') d / 2) for the displacement d and the sharpness P and P' of both pixels (an
 axis-aligned filter, Mehta and others 2012, 10.1145/2366145.2366182, along any axes). A sharp pixel neither gives nor
-takes anything. A tent as wide as two blocks of eyes makes all eyes count alike where all is blurred: without it, blocks
-show.
+takes anything.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,10 +12,9 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from ..kernels.library import call
-from .eyes import BLOCK
 
 #: Pixels on each side that are joined at most, and rows that a call joins.
-REACH, ROWS = BLOCK - 1, 8
+REACH, ROWS = 4, 8
 
 
 def join(images: Sequence[np.ndarray], sharpness: np.ndarray, each: Callable[..., Iterable[None]]) -> list[np.ndarray]:

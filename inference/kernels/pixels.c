@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
 /* Pixels of blurred pictures, joined with those around: inference/blur/reconstruction.py explains it. */
 
-#include <math.h>
 #include <string.h>
 
 #include "fields.h"
@@ -20,7 +19,6 @@ static float weight_of(float square) {
 
 int64_t NAMED(join_pixels, VARIANT)(const PixelJoin *data) {
     int64_t columns = data->columns, values = data->values, reach = data->reach;
-    float fade = 1.0f / (float)(reach + 1);
     for (int64_t row = data->first; row < data->end; row++) {
         for (int64_t column = 0; column < columns; column++) {
             int64_t here = row * columns + column;
@@ -41,8 +39,7 @@ int64_t NAMED(join_pixels, VARIANT)(const PixelJoin *data) {
                     float square = x * x * (sharp[0] + other[0]) + 2.0f * x * y * (sharp[1] + other[1]) +
                                    y * y * (sharp[2] + other[2]);
                     if (!(square < FARTHEST) || there == here) continue;
-                    /* Falls to 0 over the edge of a block: each place in it then counts as much as any other. */
-                    float weight = weight_of(square) * (1.0f - fabsf(x) * fade) * (1.0f - fabsf(y) * fade);
+                    float weight = weight_of(square);
                     sum += weight;
                     for (int64_t v = 0; v < values; v++) joined[v] += weight * image[v];
                 }

@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 
-from inference.blur.eyes import BLOCK
 from inference.blur.reconstruction import REACH, join
 
 
@@ -21,7 +20,6 @@ def joined(image, inverse):
             xx, xy, yy = np.moveaxis(inverse[here] + inverse[there], -1, 0)
             square = across**2 * xx + 2 * across * down * xy + down**2 * yy
             weight = np.where(square < 16.0, (1.0 - np.minimum(square, 16.0) / 16.0) ** 8, 0.0)[..., None]
-            weight = weight * (1.0 - abs(across) / (REACH + 1)) * (1.0 - abs(down) / (REACH + 1))
             total[here] += weight * image[there]
             weights[here] += weight
     return total / weights
@@ -51,11 +49,3 @@ def test_sharp_pixels_stay_and_what_is_blurred_along_one_axis_is_joined_along_it
     [found] = join([image], along, map)
     assert found[4, 10] > 0.05 and found[[3, 5]].max() == 0.0
     assert found.sum() == pytest.approx(1.0, rel=0.1)
-
-
-def test_blocks_of_eyes_do_not_show_where_all_is_blurred():
-    """Each pixel sees what one place of a block of eyes sees; all show their mean."""
-    block = np.random.default_rng(1).random((BLOCK, BLOCK)).astype(np.float32)
-    [found] = join([np.tile(block, (6, 6))], np.tile(np.float32([0.0, 0.0, 0.0, 1.0]), (6 * BLOCK, 6 * BLOCK, 1)), map)
-    inner = found[BLOCK:-BLOCK, BLOCK:-BLOCK]
-    assert inner == pytest.approx(np.full(inner.shape, block.mean()), abs=1e-5)
