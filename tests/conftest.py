@@ -139,6 +139,16 @@ def scene(addon):
     return blender_scenes.empty_scene()
 
 
+@pytest.fixture
+def uncalibrated(addon, tmp_path, monkeypatch):
+    """Nothing is known of volumes or of the machine's speed, as before the first render."""
+    monkeypatch.setenv("BLENDER_USER_EXTENSIONS", str(tmp_path))
+    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
+    addon.mrpnn_addon.status.calibration.forget()
+    yield
+    addon.mrpnn_addon.status.calibration.forget()
+
+
 @pytest.fixture(scope="session")
 def real_volumes():
     """The folder of real volumes in the repository."""

@@ -27,6 +27,7 @@ BOUNCES, USUAL_BOUNCES, SURFACE_BOUNCES = 1024, 12, 12
 SAMPLES = (16, 64)
 # Half of the room's width and depth, its height, and voxels of the fog along an edge.
 HALF, HEIGHT, CELLS = 2.0, 3.0, 40
+UP = (0.0, 0.0, 1.0)
 EYE, LOOKED_AT = (1.7, -1.7, 1.6), (-0.6, 0.8, 1.1)
 REGIONS = {"Wall": "walls", "Floor": "floor", "Pillar": "fog"}
 
@@ -51,7 +52,7 @@ def stage(folder: Path, size: tuple[int, int], density: float):
         ("Wall back", (0.0, HALF, 0.5 * HEIGHT), 0.7),
     ):
         # The third axis points into the room.
-        frame = towards(middle, at) if abs(at[1]) < HALF else _upright(middle, at)
+        frame = towards(middle, at) if abs(at[1]) < HALF else towards(middle, at, UP)
         frame[:3, 3] = at
         plane(scene, name, frame, 2.0 * HALF, "ShaderNodeBsdfDiffuse", Color=(colour,) * 3 + (1.0,))
     for number, (x, y) in enumerate(((-0.9, 0.9), (0.6, 1.2))):
@@ -81,19 +82,9 @@ def stage(folder: Path, size: tuple[int, int], density: float):
     lamp.energy, lamp.shadow_soft_size = 40.0, 0.1
     scenes.add_object(scene, "Point", lamp).location = (0.3, 0.0, 1.9)
     scenes.add_camera(scene)
-    scene.camera.matrix_world = Matrix(_upright(EYE, LOOKED_AT).tolist())
+    scene.camera.matrix_world = Matrix(towards(EYE, LOOKED_AT, UP).tolist())
     scene.camera.data.angle, scene.camera.data.clip_start = 1.1, 0.01
     return scene
-
-
-def _upright(position, target) -> np.ndarray:
-    """A camera's frame at a position, which looks at a target with the world's third axis upwards."""
-    z = np.subtract(position, target) / np.linalg.norm(np.subtract(position, target))
-    x = np.cross([0.0, 0.0, 1.0], z)
-    x /= np.linalg.norm(x)
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), position
-    return matrix
 
 
 def regions(scene) -> dict[str, np.ndarray]:

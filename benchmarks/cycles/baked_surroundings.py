@@ -60,10 +60,10 @@ def stage(folder: Path, options):
     return scene
 
 
-def towards(position, target) -> np.ndarray:
-    """Frame at a position whose third axis points away from a target."""
+def towards(position, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
+    """Frame at a position whose third axis points away from a target, and whose second one upwards."""
     z = np.subtract(position, target) / np.linalg.norm(np.subtract(position, target))
-    x = np.cross([0.0, 1.0, 0.0], z)
+    x = np.cross(up, z)
     x /= np.linalg.norm(x)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), position

@@ -23,13 +23,11 @@ from inference import (
 )
 from inference.features.density_reader import DensityReader
 from inference.grids.grid import Grid
-from inference.grids.lamp_optical_depth import LampOpticalDepth
-from inference.marching.lamp_in_media import place_lamp
 from inference.network.ray_predictor import RayPredictor
 from inference.scene.camera_rays import camera_rays
-from inference.scene.emitters import LampSource, solid_angles
+from inference.scene.emitters import solid_angles
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
-from tests.support.volumes import box, camera, cloud
+from tests.support.volumes import box, camera, cloud, integrals_of_density
 
 FAINT = {"faint_lamps"}
 CLOUD, CACHE = cloud(voxels=32), RenderCache()
@@ -198,57 +196,6 @@ def test_a_spot_shines_as_bright_as_a_point_within_its_cone():
     assert fluence(spot, outside) == 0.0
 
 
-@pytest.mark.parametrize("lamp", [(0.9, 0.6, 0.5), (0.52, 0.0, 0.1), (0.1, -0.05, 0.12), (-7.0, 3.0, 0.4)])
-def test_optical_depths_are_integrals_of_density(lamp):
-    grid, lamp = Grid(CLOUD), np.array(lamp)
-    depth = LampOpticalDepth(grid.density, grid.linear, grid.offset, LampSource(lamp, lamp))
-    points = np.random.default_rng(3).uniform(-0.6, 0.6, (200, 3))
-    found = depth(grid.index(points).T.astype(np.float32), 1.0)
-    assert found == pytest.approx(_through(grid, points, lamp), abs=0.003)
-    assert depth(grid.index(points).T.astype(np.float32), 30.0) == pytest.approx(
-        30.0 * _through(grid, points, lamp), abs=0.06
-    )
-
-
-def _through(grid, points, lamp, count=1500):
-    """Integrals (N,) of the density between points and a lamp."""
-    way = lamp - points
-    # Only the part within twice the volume.
-    length = np.minimum(np.linalg.norm(way, axis=1), 2.0)
-    way *= (length / np.linalg.norm(way, axis=1))[:, None]
-    share = (np.arange(count) + 0.5) / count
-    index = grid.index((points[:, None] + share[:, None] * way[:, None]).reshape(-1, 3)).T.astype(np.float32)
-    return grid.sample_density(index).reshape(len(points), count).mean(axis=1) * length
-
-
-@pytest.mark.parametrize("soft_falloff", [False, True])
-@pytest.mark.parametrize("volume, tolerance", [(box(voxels=32), 0.03), (CLOUD, 0.06)], ids=["even", "cloud"])
-def test_light_of_a_sphere_inside_smoke_starts_at_its_surface(volume, tolerance, soft_falloff):
-    """The mean light at a distance is the integral over the solid angle of the sphere, or of the disk for it."""
-    radius, centre, sigma, random = 0.12, np.array([0.05, -0.03, 0.02]), 12.0, np.random.default_rng(7)
-    grid = Grid(volume)
-    lamp = place_lamp(PointLight(centre, 1.0, radius, soft_falloff=soft_falloff), [grid])
-    for distance in np.array([0.3, 0.8, 1.2, 2.0, 3.0]) * radius:
-        along = random.normal(size=(1500, 3))
-        along /= np.linalg.norm(along, axis=1)[:, None]
-        points = centre + distance * along
-        index = grid.index(points).T.astype(np.float32)
-        depths = [depth(index, sigma) for [depth] in lamp.depths]
-        found = sum(part.fluence(points) * np.exp(-depth) for part, depth in zip(lamp.emitters, depths)).mean()
-        across = np.cross(along, random.normal(size=along.shape))
-        across /= np.linalg.norm(across, axis=1)[:, None]
-        least = -1.0 if distance < radius else np.sqrt(1.0 - (radius / distance) ** 2)
-        least = distance / np.hypot(distance, radius) if soft_falloff else least
-        cosine = random.uniform(least, 1.0, (len(along), 1))
-        way = cosine * -along + np.sqrt(1.0 - cosine**2) * across
-        cosine = cosine[:, 0]
-        reach = np.sqrt(np.maximum(radius**2 - distance**2 * (1.0 - cosine**2), 0.0))
-        length = distance / cosine if soft_falloff else distance * cosine + reach * (1 if distance < radius else -1)
-        passed = np.exp(-sigma * _through(grid, points, points + length[:, None] * way, 60))
-        radiance = 1.0 / (4.0 * np.pi**2 * radius**2)
-        assert found == pytest.approx(2.0 * np.pi * (1.0 - least) * radiance * passed.mean(), rel=tolerance)
-
-
 @pytest.mark.parametrize("name", LAMPS)
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
 def test_single_scattering_is_the_integral(name, anisotropy):
@@ -270,7 +217,7 @@ def test_single_scattering_is_the_integral(name, anisotropy):
             away = source - points[some]
             square = (away**2).sum(axis=1)
             cosine = away @ direction / np.sqrt(square)
-            passed = np.exp(-sigma * _through(grid, points[some], source, 60))
+            passed = np.exp(-sigma * integrals_of_density(grid, points[some], source, 60))
             total[some] += passed * medium.scattered(cosine) * power(points[some])
         expected.append((0.9 * sigma_t * np.exp(-before * 1.4 / 240) * total).sum() * 1.4 / 240)
     expected = np.array(expected)
@@ -467,27 +414,6 @@ def test_surfaces_shadow_lamps():
     left, right = shadowed[:, :11], shadowed[:, 13:]
     assert left.max() < 0.02 * lit.max()
     assert right == pytest.approx(lit[:, 13:], rel=1e-5)
-
-
-@pytest.mark.parametrize("height", [0.1, 0.49, 0.51, 0.9])
-@pytest.mark.parametrize("kind", ["point", "spot", "area"])
-def test_captured_light_is_that_of_its_rays(kind, height):
-    """A wall halfway through the box ends them."""
-    grid, position, down = Grid(box(voxels=16)), np.array([0.1, 0.2, height]), (0.0, 0.0, -1.0)
-    lamp = {
-        "point": PointLight(position, 1.0),
-        "spot": SpotLight(position, down, 1.0, 0.6, 0.4),
-        "area": AreaLight(np.block([[np.eye(3), position[:, None]], [np.zeros(3), 1.0]]), "square", 0.02, 1.0),
-    }[kind]
-    wall = np.array([[[-9.0, -9.0, -0.2], [9.0, -9.0, -0.2], [0.0, 18.0, -0.2]]])
-    placed = place_lamp(lamp, [grid], [Surface(wall)])
-    directions = np.random.default_rng(6).normal(size=(20000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    light = 4.0 * np.pi * 100.0**2 * lamp.fluence_at(position + 100.0 * directions)[:, 0]
-    with np.errstate(divide="ignore"):
-        way = np.where(directions[:, 2] < 0.0, (-0.2 - height) / directions[:, 2], np.inf)
-    depth = 3.0 * _through(grid, position + np.minimum(way, 2.0)[:, None] * directions, position, 200)
-    assert placed.captured([grid], [3.0]) == pytest.approx((light * -np.expm1(-depth)).mean(), rel=0.04)
 
 
 def test_the_light_of_a_lamp_changes_steadily_as_it_enters_smoke():

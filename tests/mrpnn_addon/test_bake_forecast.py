@@ -24,11 +24,8 @@ def billows(cells):
 
 
 @pytest.fixture
-def cloud(addon, scene, tmp_path, monkeypatch):
+def cloud(scene, tmp_path, uncalibrated):
     """A cloud of 48^3 voxels, before anything is known of it or of the machine's speed."""
-    monkeypatch.setenv("BLENDER_USER_EXTENSIONS", str(tmp_path))
-    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
-    addon.mrpnn_addon.status.calibration.forget()
     shown, _ = blender_scenes.add_volume(
         scene,
         blender_scenes.write_vdb(tmp_path, billows(48), blender_scenes.centred(48, 2.0)),
@@ -38,8 +35,7 @@ def cloud(addon, scene, tmp_path, monkeypatch):
     )
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
-    yield shown
-    addon.mrpnn_addon.status.calibration.forget()
+    return shown
 
 
 @pytest.fixture

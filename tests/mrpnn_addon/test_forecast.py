@@ -14,11 +14,8 @@ from tests.support import blender_scenes
 
 
 @pytest.fixture
-def cloud(addon, scene, tmp_path, monkeypatch):
+def cloud(scene, tmp_path, uncalibrated):
     """A cloud of 64^3 voxels, before anything is known of it or of the machine's speed."""
-    monkeypatch.setenv("BLENDER_USER_EXTENSIONS", str(tmp_path))
-    monkeypatch.setattr(addon.mrpnn_addon.volumes.bounding_boxes, "_densities", {})
-    addon.mrpnn_addon.status.calibration.forget()
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
     scene.mrpnn.depth_samples = 1
     shown, _ = blender_scenes.add_volume(
@@ -30,8 +27,7 @@ def cloud(addon, scene, tmp_path, monkeypatch):
     )
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
-    yield shown
-    addon.mrpnn_addon.status.calibration.forget()
+    return shown
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from inference import (
     render,
     soft_sun,
 )
-from tests.support.deep_compositor import seen_before
+from tests.reference.deep_compositor import seen_before
 
 CELLS = 24
 SIZE = 24, 18

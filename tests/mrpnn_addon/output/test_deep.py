@@ -13,8 +13,8 @@ bpy = pytest.importorskip("bpy")
 # After bpy: the other way round, the process hangs when it ends.
 import OpenEXR
 
+from tests.reference.deep_compositor import merged_with_surface, seen_before
 from tests.support import blender_scenes
-from tests.support.deep_compositor import merged_with_surface, seen_before
 from tests.support.exr_files import combined
 
 SIZE = 32, 24
