@@ -25,7 +25,7 @@ from ..grids.grid import Grid
 from ..marching.lamp_in_media import LampInMedia
 from ..numerics.small_matmul import inverse, product
 from ..occluders.lamp_shadow_map import LampShadowMap
-from ..occluders.seen_surfaces import HIDING, SeenPoints, SeenSurfaces, see_surfaces
+from ..occluders.seen_surfaces import SeenPoints, SeenSurfaces, see_surfaces
 from ..occluders.shadow_map import ShadowMap
 from ..occluders.surface_views import SurfaceViews
 from ..plan.directional_lights import directional_lights
@@ -53,6 +53,8 @@ SLOPES = [
     for angle in (np.arange(4) + 2.0 * u) * (np.pi / 2.0)
 ]
 SLAB = 32
+# Cells along an edge of each face of the shadow map that tells which voxels surfaces hide.
+HIDING = 512
 # Points along an edge of each volume at which a sun's shadows are read.
 LATTICE = 8
 # Times that light between volumes and surfaces is followed.

@@ -16,7 +16,7 @@ from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
-from .rasterization import rasterize
+from .rasterization import rasterize_nearest
 
 #: Sample points per axis and pixel.
 SAMPLES = 4
@@ -81,12 +81,8 @@ class DepthBuffer:
         -1 where there is no triangle. Raises Cancelled.
         """
         size, near, corners = self._raster(window)
-        largest, number = np.full(size[0] * size[1], -np.inf), np.full(size[0] * size[1], -1)
-        for flat, value, triangle in rasterize(corners, self.value[near], size, cancel):
-            np.maximum.at(largest, flat, value)
-            nearest = largest[flat] == value
-            number[flat[nearest]] = self.number[near[triangle[nearest]]]
-        return number.reshape(size[1], size[0])
+        number = rasterize_nearest(corners, self.value[near], size, cancel)[1]
+        return np.append(self.number[near], -1)[number]
 
     def _raster(self, window: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns and rows of a window's sample points, and which triangles may reach them, with their corners."""
@@ -101,11 +97,9 @@ class DepthBuffer:
         """
         x0, y0, x1, y1 = window
         size, near, corners = self._raster(window)
-        largest = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in rasterize(corners, self.value[near], size, cancel):
-            np.maximum.at(largest, flat, value)
+        largest, _ = rasterize_nearest(corners, self.value[near], size, cancel)
         columns, rows = (first + (np.arange(n) + 0.5) / SAMPLES for first, n in zip((x0, y0), size))
-        distance = self._along(largest.reshape(size[1], size[0]), columns, rows)
+        distance = self._along(largest, columns, rows)
         samples = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)
         return samples.reshape(-1, SAMPLES**2)
 
@@ -124,10 +118,8 @@ class DepthBuffer:
         size = np.array([len(x), len(y)])
         near = self._near((x[0], y[0], x[-1], y[-1]))
         steps = [values[1] - values[0] if len(values) > 1 else 1.0 for values in (x, y)]
-        largest = np.full(size[0] * size[1], -np.inf)
-        for flat, value, _ in rasterize((self.corners[near] - [x[0], y[0]]) / steps, self.value[near], size, cancel):
-            np.maximum.at(largest, flat, value)
-        return self._along(largest.reshape(size[1], size[0]), x, y)
+        corners = (self.corners[near] - [x[0], y[0]]) / steps
+        return self._along(rasterize_nearest(corners, self.value[near], size, cancel)[0], x, y)
 
     def outlined(self, window: tuple[int, int, int, int]) -> np.ndarray:
         """bool (rows, columns): pixels of the window that an outline of a surface may cross, and those beside them.

@@ -9,6 +9,38 @@ from ..runtime.cancellation import NEVER, CancelToken
 
 # Pairs of triangle and sample point tested at a time.
 PAIRS_PER_BATCH = 1 << 18
+# Pairs from which on triangles are taken from the nearest to the farthest, and hidden ones left out.
+MANY_PAIRS = 4 * PAIRS_PER_BATCH
+
+
+def rasterize_nearest(
+    corners: np.ndarray, value: np.ndarray, size: np.ndarray, cancel: CancelToken = NEVER
+) -> tuple[np.ndarray, np.ndarray]:
+    """Largest value float64 (rows, columns) at the integer points of a raster, and int, the triangle that has it.
+
+    -inf and -1 where there is no triangle. Parameters as of `rasterize`. Raises Cancelled.
+
+    Where triangles cover each other many times, those that a pyramid of the values found so far hides are left out
+    (Greene, Kass and Miller 1993).
+    """
+    first, last = _spans(corners, size)
+    counts, most = np.maximum(last - first + 1, 0).prod(axis=1), value.max(axis=1, initial=-np.inf)
+    order = np.flatnonzero(counts)
+    pairs = counts.sum()
+    if pairs > MANY_PAIRS:
+        order, pairs = order[np.argsort(-most[order], kind="stable")], PAIRS_PER_BATCH
+    largest, number = np.full(size[::-1], -np.inf), np.full(size[::-1], -1)
+    while len(order):
+        end = max(int(np.searchsorted(np.cumsum(counts[order]), pairs, side="right")), 1)
+        taken, order = order[:end], order[end:]
+        for flat, found, triangle in rasterize(corners[taken], value[taken], size, cancel):
+            np.maximum.at(largest.reshape(-1), flat, found)
+            nearest = largest.reshape(-1)[flat] == found
+            number.reshape(-1)[flat[nearest]] = taken[triangle[nearest]]
+        if len(order):
+            order = order[most[order] > _least(largest, first[order], last[order])]
+        pairs *= 2
+    return largest, number
 
 
 def rasterize(
@@ -19,8 +51,7 @@ def rasterize(
     corners: (T, 3, 2), in raster coordinates, column and row. value: (T, 3), interpolated linearly. size: int
     (2,), columns and rows. Raises Cancelled.
     """
-    first = np.ceil(np.clip(corners.min(axis=1), 0, size)).astype(int)
-    last = np.floor(np.clip(corners.max(axis=1), -1, size - 1)).astype(int)
+    first, last = _spans(corners, size)
     cancel.check()
     spans = np.maximum(last - first + 1, 0)
     counts = spans.prod(axis=1)
@@ -59,3 +90,27 @@ def rasterize(
             triangle,
         )
         start = end
+
+
+def _least(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """At most the least of values (rows, columns) in rectangles, (R,), which include first and last, column and row.
+
+    first, last: int (R, 2).
+    """
+    least = np.empty(len(first))
+    # In level k of the pyramid an element is the least of 2^k x 2^k; a rectangle meets at most 2 x 2 of its level.
+    levels = np.ceil(np.log2((last - first).max(axis=1) + 1)).astype(int)
+    for level in range(levels.max() + 1):
+        at = levels == level
+        (i, j), (k, l) = first[at].T >> level, last[at].T >> level
+        least[at] = np.min([values[j, i], values[j, k], values[l, i], values[l, k]], axis=0)
+        values = np.pad(values, [(0, n % 2) for n in values.shape], constant_values=np.inf)
+        values = np.minimum(values[::2], values[1::2])
+        values = np.minimum(values[:, ::2], values[:, 1::2])
+    return least
+
+
+def _spans(corners: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last column and row int (T, 2) that the boxes around triangles (T, 3, 2) meet in a raster."""
+    first = np.ceil(np.clip(corners.min(axis=1), 0, size)).astype(int)
+    return first, np.floor(np.clip(corners.max(axis=1), -1, size - 1)).astype(int)

@@ -11,13 +11,10 @@ from ..scene.camera import Camera
 from ..scene.description import Surface
 from ..scene.environment import Environment, pixel_directions, pixel_numbers, pixel_solid_angles
 from .depth_buffer import SAMPLES, DepthBuffer
-from .lamp_shadow_map import LampShadowMap
 from .sky_visibility import SkyVisibility
 
 #: Rows of images of surfaces; and sample points along an edge of each face of the cube onto which they are rasterized.
 ROWS, FACE = 32, 64
-# Cells along an edge of each face of the shadow map that tells which points the eye sees.
-HIDING = 512
 # Largest mean fraction of the sphere by which the sky at several points may differ from their mean, to be the same.
 ALIKE = 0.025
 
@@ -177,7 +174,8 @@ def open_sky(
     if eye is None:
         return OpenSky(whole, visibility)
     points = _viewpoints(corners)
-    points = np.concatenate([eye[None], points[LampShadowMap(shading, eye, HIDING, cancel).visibility(points) >= 0.5]])
+    triangles = np.concatenate([surface.triangles for surface in shading])
+    points = np.stack([eye, *(point for point in points if not _meets(eye, point - eye, triangles))])
     seen = visibility.towards(points)
     if np.abs(seen - seen.mean(axis=0)).mean() > ALIKE:
         return OpenSky(whole, visibility)

@@ -9,7 +9,7 @@ import numpy as np
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
-from .rasterization import rasterize
+from .rasterization import rasterize_nearest
 
 #: Cells along the longer side of the volumes, as seen from the sun.
 CELLS = 1024
@@ -47,12 +47,12 @@ class ShadowMap:
         # The centres of the first cells have index 0.
         self.offset = -low / [cell, cell, 1.0] - [0.5, 0.5, 0.0]
         size = np.maximum(np.ceil((high - low)[:2] / cell), 1).astype(int)
-        heights = np.full(size[0] * size[1], -np.inf)
+        heights = np.full(size[::-1], -np.inf)
         for triangles in surfaces:
             projected = triangles @ self.linear.T + self.offset
-            for flat, height, _ in rasterize(projected[..., :2], projected[..., 2], size, cancel):
-                np.maximum.at(heights, flat, height)
-        self.heights = heights.reshape(size[1], size[0]).astype(np.float32)
+            highest, _ = rasterize_nearest(projected[..., :2], projected[..., 2], size, cancel)
+            np.maximum(heights, highest, out=heights)
+        self.heights = heights.astype(np.float32)
 
     def shades(self, corners: np.ndarray) -> bool:
         """Whether surfaces shadow any part of the boxes; corners: (B, 8, 3), in the order of `Grid.corners`."""

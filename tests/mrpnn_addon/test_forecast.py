@@ -112,17 +112,22 @@ def test_only_pixels_in_the_box_count(addon, scene, cloud, said):
     )
 
 
-def add_mesh(scene, corners, faces, location=(0.0, 0.0, 0.0), copies=1):
+def add_mesh(scene, corners, faces, location=(0.0, 0.0, 0.0)):
     shape = bpy.data.meshes.new("Shape")
-    shape.from_pydata(
-        list(corners) * copies, [], [[i + n * len(corners) for i in f] for n in range(copies) for f in faces]
-    )
+    shape.from_pydata(corners, [], faces)
     shown = blender_scenes.add_object(scene, "Shape", shape)
     shown.location = location
     return shown
 
 
-SQUARE = [(-3.0, -3.0, 0.0), (3.0, -3.0, 0.0), (3.0, 3.0, 0.0), (-3.0, 3.0, 0.0)], [(0, 1, 2, 3)]
+def squares(count):
+    """Corners and faces of a square of count x count faces."""
+    at = [6.0 * i / count - 3.0 for i in range(count + 1)]
+    first = [row * len(at) + column for row in range(count) for column in range(count)]
+    return [(x, y, 0.0) for y in at for x in at], [(i, i + 1, i + len(at) + 1, i + len(at)) for i in first]
+
+
+SQUARE = squares(1)
 
 
 def cube(scene, location):
@@ -152,7 +157,7 @@ SURROUNDINGS = {
     "a cube inside": lambda scene: cube(scene, (0.0, 0.0, 0.0)),
     "a cube beside": lambda scene: cube(scene, (2.5, 0.0, 0.0)),
     "glass inside": glass_inside,
-    "a mesh of many faces": lambda scene: add_mesh(scene, *SQUARE, (0.0, 0.0, -1.2), 6000),
+    "a mesh of many faces": lambda scene: add_mesh(scene, *squares(80), (0.0, 0.0, -1.2)),
     "a lamp and a floor": lambda scene: [
         blender_scenes.add_object(scene, "Lamp", bpy.data.lights.new("Lamp", "POINT")),
         add_mesh(scene, *SQUARE, (0.0, 0.0, -0.95)),
