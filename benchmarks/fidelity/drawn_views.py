@@ -7,7 +7,6 @@ was trained on, by the network or by that for its error.
 
 import functools
 import pathlib
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,16 +30,6 @@ SIZE, PARTS, PATHS = 16, 8, 256
 DISTANCE = 1.5
 #: Beyond what was trained: optical thickness and G of the views outside, in turn.
 OUTSIDE = ((6000.0, None), (20000.0, None), (None, 0.97), (None, 0.985), (None, -0.6), (6000.0, 0.97))
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What is drawn: sigma_hat, anisotropy, albedo, gamma (angle between the camera's axis and the sun, radians)."""
-
-    sigma_hat: float
-    anisotropy: float
-    albedo: float
-    gamma: float
 
 
 def seed_of(seeds: tuple[int, int, int], number: int) -> int:

@@ -30,8 +30,6 @@ MAX_POINTS = 1_000_000
 IMPORTANT_SHARE = 0.3
 # Corrections of corrections, where anchors are seen from other directions than in the middle.
 SWEEPS = 2
-# Voxels of each of the latter whose mean is taken: light differs from one to the next.
-FINE_VOXELS = 2
 # In thin volumes light varies less from voxel to voxel: points are as far apart as this optical depth, but at least so
 # many along the longest edge.
 SPACING, LEAST_NODES = 0.2, 20

@@ -4,8 +4,8 @@
 Where a network tells the error of its predictions at points, the deviations of depth samples on one ray are added up,
 times a factor for how far they are independent, and what comes of it, over the light, is interpolated between few
 pixels, since it is smooth. Of what else is predicted the error is a measured constant. Constants without another source
-are measured on procedural views by `python -m benchmarks.fidelity.calibration`; docs/trust/accuracy.md shows how
-well they hold on others.
+are measured on procedural views by `python -m benchmarks.fidelity.calibration`; docs/trust/stated-error.md shows
+how well they hold on others.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ HALF_OF_PICTURES, MOST_OF_PICTURES = (0.87, 1.15), (0.66, 1.51)
 BIAS = 0.68
 # Relative errors of light from everywhere by albedo, at held-back points (docs/understand/weights.md), and of light
 # that volumes emit and scatter.
-ENVIRONMENT = ((0.0, 0.6, 0.9, 0.98, 1.0), (0.3, 0.199, 0.111, 0.080, 0.068))
+ENVIRONMENT = ((0.0, 0.6, 0.9, 0.98, 1.0), (0.3, 0.139, 0.084, 0.066, 0.060))
 SCATTERED_EMISSION = 0.1
 # Pixels of less opacity do not count in a picture's error.
 SHOWN_ALPHA = 0.02

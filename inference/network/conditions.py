@@ -57,10 +57,6 @@ class PredictedLight(PlacedLight, Protocol):
     def shadow_map(self) -> ShadowMap | None:
         """Of surfaces, for parallel light; or None."""
 
-    @property
-    def coarse(self) -> bool:
-        """Whether its coarse transport may be on cells twice as large, as many such lights share their work."""
-
     def scale(self, fluence: np.ndarray) -> float:
         """What its scattered light is held over: the brightest cell's fluence is that of a sun of irradiance 1."""
 

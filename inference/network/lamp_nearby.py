@@ -61,8 +61,6 @@ NEAR, FAR = 0.1, 0.2
 LAST = int(DEGREES[-1])
 # Roots of Lanczos' factors of the degrees, times their weights in a series of Legendre's polynomials.
 WEIGHTS = np.sqrt(np.sinc(np.arange(LAST + 1) / (LAST + 1))) * (2 * np.arange(LAST + 1) + 1) / (4.0 * np.pi)
-# The first harmonic of each degree.
-FIRST = np.arange(LAST + 1) ** 2
 # Places on the way from a lamp at which matter is read.
 PLACES = 4
 # Largest mean cosines of light around a direction: that of the transport's moments, measured, and that of the peak's.

@@ -48,13 +48,8 @@ class PlacedSun:
         """As of PlacedLight."""
         direction = alike_vector(self.direction)
         if self.shadow_map is None and not self.sun.screen_key:
-            return direction, self.coarse
-        return direction, self.coarse, self.sun.screen_key, self.cube.key
-
-    @property
-    def coarse(self) -> bool:
-        """As of PredictedLight."""
-        return self.sun.share
+            return (direction,)
+        return direction, self.sun.screen_key, self.cube.key
 
     @cached_property
     def direction(self) -> np.ndarray:
@@ -101,7 +96,7 @@ class PlacedLamp:
     cube: Cube
     radius: float
     albedos: Sequence[float] = ()
-    any_thickness, coarse, shadow_map = False, False, None
+    any_thickness, shadow_map = False, None
 
     @property
     def near(self) -> "PlacedLamp":

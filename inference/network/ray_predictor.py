@@ -295,7 +295,7 @@ class RayPredictor(Predictor):
         if solved is None:
             if conditions.albedo is None:
                 solver = self._solver(conditions)
-                cells = (solver.solve_coarse if light.coarse else solver.solve)(light.source(CELLS), cancel)
+                cells = solver.solve(light.source(CELLS), cancel)
             else:
                 albedo = max(conditions.albedo, MIN_ALBEDO)
                 solver = self._new_solver(conditions, albedo)

@@ -45,7 +45,6 @@ def directional_lights(environment: Environment, count: int) -> list[Sun]:
             light[cell].sum(axis=0),
             name,
             _coarsened(directions[cell], power[cell]),
-            share=True,
         )
         for cell in cells
     ]

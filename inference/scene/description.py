@@ -316,7 +316,6 @@ class Sun(Light):
         weights (K,) that sum to 1. The phase function is averaged over it; shadows are those of `direction`.
     part_of: the soft sun of which this is a part, or None. Multiple scattering is predicted once for all parts.
     receivers: names of the volumes and surfaces that it lights; None for all.
-    share: whether it is one of many suns that stand for an environment; their transport may be coarser.
 
     Raises SceneError for a zero direction and for irradiance out of range.
     """
@@ -327,7 +326,6 @@ class Sun(Light):
     spread: tuple[np.ndarray, np.ndarray] | None = None
     part_of: "Sun | None" = None
     receivers: frozenset[str] | None = None
-    share: bool = False
 
     def __post_init__(self) -> None:
         direction = np.asarray(self.direction, dtype=np.float64)

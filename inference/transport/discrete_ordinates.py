@@ -165,13 +165,6 @@ class DiscreteOrdinates:
             fields.start(self._finer(values) for values in coarse)
         return self._converge(fields, follow, cancel, source.linear)
 
-    def solve_coarse(self, source: CellSource, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As `solve`, on cells twice as large, a tenth of the work. Raises Cancelled."""
-        if self.coarser is None:
-            return self.solve(source, cancel)
-        solved = self.coarser.solve(source.coarser(self), cancel)
-        return np.stack([self._finer(values) for values in solved])
-
     def moments(self, first: np.ndarray, beams: np.ndarray | None = None, cancel: CancelToken = NEVER) -> np.ndarray:
         """What becomes of light that scatters: radiance times each of `spherical_harmonics` of where it goes.
 

@@ -67,11 +67,6 @@ class Flipbook:
             self.warn(f"frame {scene.frame} is an empty tile: it shows no volume")
         self.tiles[scene.frame] = tile
 
-    def leave_empty(self, frame: int, problem: Exception) -> None:
-        """Leave the tile of a frame that cannot be read empty, with a warning that names the frame."""
-        self.warn(f"frame {frame} is an empty tile: {problem}")
-        self.tiles[frame] = None
-
     def write(self, check: Callable[[], None] = lambda: None) -> list[str]:
         """Write the textures and what an engine has to know of them; returns the paths.
 

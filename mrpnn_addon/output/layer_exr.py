@@ -69,8 +69,6 @@ def _channels(layer: Layer) -> dict[str, np.ndarray]:
         for index, letter in enumerate("RGB"):
             channels[f"{name}.{letter}"] = colour[..., index]
     for name, values in layer.passes.items():
-        for index, letter in enumerate(
-            LETTERS.get(name) or ("Z", "", "RGB", "rgba")[values.size // layer.alpha.size - 1]
-        ):
+        for index, letter in enumerate(LETTERS.get(name) or OF_COUNT[values.size // layer.alpha.size]):
             channels[f"{name}.{letter}"] = finite(values.reshape(*layer.alpha.shape, -1)[..., index])
     return channels

@@ -4,7 +4,6 @@
 import numpy as np
 
 from inference.network.lamp_nearby import (
-    FIRST,
     LAST,
     LEAST,
     STRAIGHTEST,
@@ -17,6 +16,9 @@ from inference.network.lamp_nearby import (
 from inference.numerics.small_matmul import lengths, product
 from inference.numerics.spherical_harmonics import spherical_harmonics
 from inference.scene.phase_function import henyey_greenstein, reduced_anisotropy
+
+# The first harmonic of each degree.
+FIRST = np.arange(LAST + 1) ** 2
 
 
 def radiance(
