@@ -33,6 +33,6 @@ def test_the_first_row_comes_through_quick_doors():
     run_matrix("--row", "0", "--door", "viewport", "render volumes", "command render")
 
 
-@pytest.mark.slow(seconds=1050)
+@pytest.mark.slow(seconds=1700)
 def test_every_door_opens_for_every_feature():
     run_matrix()

@@ -14,7 +14,7 @@ pytestmark = MARKS
 
 
 # The last one named, of Blender 5; the Python module's is 4.5.
-@pytest.mark.slow(seconds=1800)
+@pytest.mark.slow(seconds=2100)
 @pytest.mark.parametrize("program", BLENDERS[-1:], indirect=True, ids=lambda path: Path(path).name)
 def test_every_door_opens_for_every_feature(program):
     # What a Blender program sees, which may not see the repository.
