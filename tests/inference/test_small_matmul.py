@@ -138,18 +138,16 @@ LIGHTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", [False, True])
 @pytest.mark.parametrize("lights", LIGHTS.values(), ids=LIGHTS)
-def test_renders_do_not_wake_the_threads_of_blas(lights, ground):
-    check_threads_of_blas(lights, ground, (64, 64))
+def test_renders_do_not_wake_the_threads_of_blas(lights):
+    check_threads_of_blas(lights, True, (64, 64))
 
 
 @pytest.mark.slow(seconds=30)
-@pytest.mark.parametrize("lights", ["sun and sky", "point light inside"])
-def test_bakes_do_not_wake_the_threads_of_blas(lights):
+def test_bakes_do_not_wake_the_threads_of_blas():
     albedo, view = (0.9, 0.8, 0.7), camera()
     volumes = [(cloud(voxels=16), Medium(40.0, albedo, 0.8))]
-    alone(lambda: bake(volumes, LIGHTS[lights], view, Settings(threads=1)))
+    alone(lambda: bake(volumes, [*LIGHTS["sun and sky"], *LIGHTS["point light inside"]], view, Settings(threads=1)))
 
 
 @pytest.mark.parametrize("light", [SUN, *LIGHTS["point light"], SKY], ids=["sun", "lamp", "sky"])
@@ -159,9 +157,8 @@ def test_predictions_at_points_do_not_wake_the_threads_of_blas(light):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lights", ["sun and sky", "point light inside"])
-def test_large_renders_do_not_wake_the_threads_of_blas(lights):
-    check_threads_of_blas(LIGHTS[lights], False, (480, 480))
+def test_large_renders_do_not_wake_the_threads_of_blas():
+    check_threads_of_blas([*LIGHTS["sun and sky"], *LIGHTS["point light inside"]], False, (480, 480))
 
 
 def check_threads_of_blas(lights, ground, resolution):

@@ -234,13 +234,15 @@ def sky_world(model: str) -> Callable[[Stage], None]:
     def build(stage: Stage) -> None:
         tree, background = world(stage, 0.1)
         node = tree.nodes.new("ShaderNodeTexSky")
-        node.sky_type = model
+        node.sky_type = model if model in SKIES else "NISHITA"
         tree.links.new(node.outputs["Color"], background.inputs["Color"])
 
     return build
 
 
 SKIES = [item.identifier for item in bpy.types.ShaderNodeTexSky.bl_rna.properties["sky_type"].enum_items]
+# Rows are the same in every version: before Blender 5 one sky stands for both kinds of scattering.
+MODELS = "PREETHAM", "HOSEK_WILKIE", "SINGLE_SCATTERING", "MULTIPLE_SCATTERING"
 
 
 # Surfaces.
@@ -433,7 +435,7 @@ DIMENSIONS: dict[str, dict[str, Build]] = {
         "black": nothing,
         "even": even_world,
         "image": image_world,
-        **{f"sky {model.lower()}": sky_world(model) for model in SKIES},
+        **{f"sky {model.lower()}": sky_world(model) for model in MODELS},
     },
     "surface": {
         "none": nothing,

@@ -34,7 +34,7 @@ FAULTS = ("Traceback", "which is a bug", "Error in ", "RuntimeWarning")
 
 
 def matrix() -> list[Row]:
-    """The rows of this version of Blender, whose skies differ from others'."""
+    """The rows, the same in every version of Blender."""
     return covering_rows({**{name: list(values) for name, values in DIMENSIONS.items()}, "door": list(DOORS)})
 
 

@@ -35,7 +35,7 @@ from tests.support.windows_dlls import imports
 
 KERNELS = load_kernels()
 SOURCE_FILES = [str(path) for path in sorted(SOURCES.glob("*.c"))]
-FUZZ_SECONDS = 60
+FUZZ_SECONDS = 25
 CHECKED = [
     "-std=c99", "-O1", "-g", "-ffp-contract=off", "-fno-strict-aliasing", "-fPIC", "-shared", "-DVARIANT=baseline",
     "-DMRPNN_ONE_VARIANT", *SOURCE_FILES, "-lm"]  # fmt: skip
