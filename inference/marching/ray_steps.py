@@ -25,6 +25,8 @@ STEP_THICKNESS, STEP_GROWTH = 0.3, 8.0
 # The same for steps taken as dense as the densest voxel near, towards which light may vary as much; and the finest
 # step, as a fraction of a coarse step, that blocks are cut into for that.
 PEAK_THICKNESS, PEAK_GROWTH, FINEST = 0.3, 3.0, 0.0625
+# How often a block may be cut, and into how many at a time: as kernels/steps.h has it, for the docs.
+LEVELS, MOST_PARTS = 7, 8
 # Evenly spaced points per step at which volumes are sampled; whatever depends on their mean is evaluated once per step.
 SAMPLES = 2
 # Rays that graze a corner get as many steps as if they crossed this many voxels.
