@@ -20,6 +20,7 @@ from inference.scene import (
     SpotLight,
     Sun,
     Surface,
+    Velocity,
     Volume,
 )
 
@@ -35,6 +36,7 @@ NO_LIGHTS = {
     Shutter,
     SparseGrid,
     Surface,
+    Velocity,
     Volume,
 }
 

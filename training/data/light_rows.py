@@ -147,8 +147,7 @@ class Today:
             Volume(self.volume.density, self.volume.world_from_index, emission=emission), self.medium
         )
         scattered = ScatteredEmission([Grid(glowing)], [medium])
-        light = [scattered.scattered(c, positions, omega, medium.anisotropy) for c in range(3)]
-        return np.stack(light, axis=1).astype(np.float32)
+        return scattered.scattered(range(3), positions, omega, medium.anisotropy).T
 
 
 def predict_today(seed: int, points: int, jobs) -> list[np.ndarray]:
