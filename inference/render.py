@@ -347,7 +347,7 @@ def _shadows(
             context.progress.advance("shadows", count * len(plan.suns))
     with context.report.stage("shadows"):
         context.progress.message("shadows of lamps")
-        lamps = context.cache.lamps(plan.lamps, grids, surfaces, context.cancel) if grids else []
+        lamps = context.cache.lamps(plan.lamps, plan.lamp_shares, grids, surfaces, context.cancel) if grids else []
         for lamp in lamps if plan.predicts_lamps else ():
             context.report.warnings += enclosed_warnings(lamp, plan.volumes)
     return sun_depths, lamps

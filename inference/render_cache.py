@@ -7,6 +7,8 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+import numpy as np
+
 from .grids.bound_medium import BoundMedium
 from .grids.grid import Grid, Voxels
 from .grids.merge import join, merge
@@ -99,19 +101,20 @@ class RenderCache:
     def lamps(
         self,
         lamps: Sequence[Lamp],
+        shares: np.ndarray,
         grids: Sequence[Grid],
         surfaces: Sequence[Surface] = (),
         cancel: CancelToken = NEVER,
     ) -> list[LampInMedia]:
-        """As `place_lamp`, of each lamp."""
+        """As `place_lamp`, of each lamp and its share of the light."""
         with cancel.locked(self._lock):
             found: list[LampInMedia] = []
-            for lamp in lamps:
-                key = lamp_key(lamp, grids, surfaces)
+            for lamp, share in zip(lamps, shares):
+                key = lamp_key(lamp, grids, surfaces, share)
                 known = (placed for others, placed in self._lamps if placed.key == key and _same_grids(others, grids))
                 placed = next(known, None)
                 if placed is None:
-                    placed = place_lamp(lamp, grids, surfaces, cancel)
+                    placed = place_lamp(lamp, grids, surfaces, cancel, share)
                 # Its power may have changed.
                 found.append(replace(placed, lamp=lamp))
             self._lamps = [(grids, placed) for placed in found]

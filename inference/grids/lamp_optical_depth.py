@@ -117,6 +117,11 @@ class LampOpticalDepth:
         for pyramid in self.pyramids:
             self._fill(pyramid, cancel)
 
+    @property
+    def inside(self) -> bool:
+        """Whether the lamp is within the grid."""
+        return bool(np.all((self.lamp > -1.0) & (self.lamp < np.array(self.grid.shape))))
+
     def _density_around(self, linear: np.ndarray) -> float:
         """Mean density along the radii of the lamp's sphere."""
         away = (linear @ DIRECTIONS)[:, :, None] * (self.source.radius * RADII)

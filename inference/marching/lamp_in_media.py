@@ -28,6 +28,8 @@ ENCLOSED = 12.0
 SURROUNDED = 0.9
 # Most emitters of a lamp in the coarse transport.
 COARSE = 6
+# Most doublings of the spacing of columns of lamps that give little of the light.
+MOST_COARSER = 2
 # Directions in which each emitter's light is followed, to tell how much of it volumes take.
 CAPTURE_DIRECTIONS = 1024
 # Lower bound of a lamp's light at a point, as a fraction of what the lamp would give if it faced the point; the kernel
@@ -154,12 +156,15 @@ def place_lamp(
     grids: Sequence[Grid],
     surfaces: Sequence[Surface] = (),
     cancel: CancelToken = NEVER,
+    share: float = 1.0,
 ) -> LampInMedia:
-    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled."""
+    """A lamp with its columns through the grids of volumes, and the shadows of surfaces. Raises Cancelled.
+
+    share: of all light, that it gives where that is the most.
+    """
     corners = np.concatenate([grid.corners() for grid in grids])
     emitters, maps = lamp.emitters(corners.min(axis=0), corners.max(axis=0)), None
-    # The shadows of many emitters blend: each shadow may be coarser.
-    coarser = max(round(len(emitters) ** 0.5), 1)
+    coarser = max(round(len(emitters) ** 0.5), _coarser(share))
     shading = _shading(lamp, surfaces)
     if shading:
         cells = CELLS // (1 << (coarser - 1).bit_length())
@@ -171,7 +176,7 @@ def place_lamp(
         for emitter in emitters
     ]
     coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
-    key = lamp_key(lamp, grids, surfaces)
+    key = lamp_key(lamp, grids, surfaces, share)
     return LampInMedia(lamp, emitters, depths, coarse, maps if shaded else None, key, maps)
 
 
@@ -193,10 +198,15 @@ def _may_shade(surfaces: Sequence[Surface], emitters: Sequence[Emitter], grids: 
     return False
 
 
-def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = ()) -> bytes:
-    """Digest that is equal for lamps that differ in power alone and have equal shadows."""
+def _coarser(share: float) -> int:
+    """Factor of the spacing of a lamp's columns: the shadows of many lamps blend, as those of many emitters do."""
+    return 1 << int(np.clip(0.5 * np.log2(0.5 / max(share, 1e-9)), 0.0, MOST_COARSER))
+
+
+def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = (), share: float = 1.0) -> bytes:
+    """Digest that is equal for lamps that differ in power alone and have equal shadows; share: as of `place_lamp`."""
     corners = np.concatenate([grid.corners() for grid in grids])
-    digest = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(bytes([_coarser(share)]), digest_size=16)
     for emitter in lamp.emitters(corners.min(axis=0), corners.max(axis=0)):
         _add_values(digest, emitter)
     for surface in _shading(lamp, surfaces):
@@ -232,6 +242,8 @@ def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]
     """Warnings that name volumes so dense around a lamp that the little light that comes out is uncertain."""
     warnings = []
     for v, (volume, medium) in enumerate(volumes):
+        if not lamp.depths[0][v].inside:
+            continue
         depths, fractions = lamp.depths[0][v].outwards(float(medium.sigma_t.max()))
         depth = float((depths * fractions).sum())
         if depth > ENCLOSED and fractions.sum() > SURROUNDED and medium.albedo.any():

@@ -135,6 +135,28 @@ def without_faint(
     return [lamp for k, lamp in enumerate(lamps) if k not in faint]
 
 
+def lamp_shares(
+    lamps: Sequence[Lamp], others: Sequence[Sun | Environment], boxes: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Largest share (K,) of all light that each lamp gives at any of 8 points of a volume that it faces, shadows aside.
+
+    others, boxes: as of `without_faint`.
+    """
+    shares = np.zeros(len(lamps))
+    for name, corners in boxes.items():
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        points, lit = low + EIGHTHS * (high - low), [k for k, lamp in enumerate(lamps) if lamp.lights(name)]
+        rest = sum(light.mean_fluence() for light in others if light.lights(name))
+        given, most = np.zeros((2, len(lit), len(points)))
+        for row, k in enumerate(lit):
+            for emitter in lamps[k].emitters(low, high, 1):
+                given[row] += float(lamps[k].power.mean()) * emitter.fluence(points)
+                most[row] += float(lamps[k].power.mean()) * emitter.brightest(points)
+        total = rest + given.sum(axis=0) - given + most
+        shares[lit] = np.maximum(shares[lit], (most / np.maximum(total, 1e-300)).max(axis=1))
+    return shares
+
+
 def brightest_light(lights: Sequence[Light], volumes: Sequence[tuple[Volume, Medium]]) -> list[Light]:
     """The light that gives the volumes the most fluence, shadows aside; none if none lights any of them."""
     light_in_volumes = np.zeros(len(lights))

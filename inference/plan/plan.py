@@ -24,6 +24,7 @@ from .coarser import fitting_volumes
 from .joined_lamps import joined_lamps
 from .lights import (
     PredictedSun,
+    lamp_shares,
     linked_lights,
     linking,
     mesh_lights,
@@ -69,9 +70,9 @@ class SceneLights:
 
     suns: those that contribute, parallel ones merged. environments: light from everywhere, without its peaks. sky: the
     same as they are without surfaces; empty if none hides any of them. lamps: that emit light. lamp_clusters:
-    (G,), lamps, by number, that multiple scattering in a group is predicted of at once. predicts_lamps: whether the
-    network knows lamps. reflects: whether the light that surfaces send into volumes becomes one more environment.
-    planned, left_out: sentences.
+    (G,), lamps, by number, that multiple scattering in a group is predicted of at once. lamp_shares: (K,), of
+    `lights.lamp_shares`. predicts_lamps: whether the network knows lamps. reflects: whether the light that surfaces
+    send into volumes becomes one more environment. planned, left_out: sentences.
     """
 
     suns: list[Sun]
@@ -79,6 +80,7 @@ class SceneLights:
     sky: list[Environment]
     lamps: list[Lamp]
     lamp_clusters: list[list[list[int]]]
+    lamp_shares: np.ndarray
     predicts_lamps: bool
     reflects: bool
     planned: list[str]
@@ -294,8 +296,8 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
         suns = [replace(sun, part_of=None) for sun in suns]
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
+    boxes = {volume.name: box_corners(volume) for volume, _ in scene.volumes}
     if "faint_lamps" in settings.optimizations:
-        boxes = {volume.name: box_corners(volume) for volume, _ in scene.volumes}
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
         f"{len(joined.parts) - 1} of {len(joined.parts)} predictions of {joined.sun.name}: one for all of its parts"
@@ -307,7 +309,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
     if "distant_lamps" in settings.optimizations and len(lamps) > 1:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
-        clusters = [joined_lamps(lamps, others, {own.name: box_corners(own) for own in group}) for group in members]
+        clusters = [joined_lamps(lamps, others, {own.name: boxes[own.name] for own in group}) for group in members]
     if lamps and settings.multiple and not predicts_lamps:
         left_out.append(f"multiple scattering of {len(lamps)} lamps: the network {settings.model} knows suns alone")
     if predicts_lamps:
@@ -321,6 +323,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
         environments=environments,
         lamps=lamps,
         lamp_clusters=clusters,
+        lamp_shares=lamp_shares(lamps, others, boxes),
         predicts_lamps=predicts_lamps,
         reflects=reflects_light(without_lamps(surfaces, scene.glowing), settings, planned, left_out),
         sky=unhidden,
