@@ -80,11 +80,11 @@ def blur_cases() -> list[Case]:
     moving, tiny = replace(whole, shutter=Shutter()), replace(whole, lens=Lens(1e-9, 3.0))
     still = flowing(1.0, 1e-9, (-0.5, 0.5))
     return [
-        blur_case("an aperture of 1e-9", "no lens", tiny, still, 10.0, lambda: sharp(whole, still, 10.0)),
+        blur_case("an aperture of 1e-9", "no blur", tiny, still, 10.0, lambda: sharp(whole, still, 10.0)),
         *(
             blur_case(
                 f"inside smoke of σ̂ = {sigma:g}, in focus at {focus:g}",
-                "opaque smoke",
+                "closed form",
                 replace(around, lens=Lens(0.02, focus)),
                 fog,
                 sigma,
@@ -94,17 +94,17 @@ def blur_cases() -> list[Case]:
             for sigma, focus in ((1e4, 0.1), (1e7, 0.1), (1e4, 1e-6), (1e4, 1e9))
         ),
         blur_case(
-            "an aperture of a million", "light that passes by", replace(whole, lens=Lens(1e6, 1.0)), fog, 10.0,
+            "an aperture of a million", "closed form", replace(whole, lens=Lens(1e6, 1.0)), fog, 10.0,
             lambda: np.zeros((12, 12)),
         ),
-        blur_case("1e-9 voxels per frame", "no motion", moving, still, 10.0, lambda: sharp(whole, still, 10.0)),
+        blur_case("1e-9 voxels per frame", "no blur", moving, still, 10.0, lambda: sharp(whole, still, 10.0)),
         # Where the velocity leads back to, there is none.
         blur_case(
-            "a million voxels per frame within the volume", "no motion", moving, fast, 10.0,
+            "a million voxels per frame within the volume", "no blur", moving, fast, 10.0,
             lambda: sharp(whole, fast, 10.0), quick=True,
         ),
         blur_case(
-            "a million voxels per frame everywhere", "no volume", moving, away, 10.0, lambda: np.zeros((12, 12))
+            "a million voxels per frame everywhere", "closed form", moving, away, 10.0, lambda: np.zeros((12, 12))
         ),
     ]  # fmt: skip
 
