@@ -270,7 +270,7 @@ class DiscreteOrdinates:
         return refined(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
 
     def _bound(self, field: np.ndarray, more: np.ndarray | None = None, limit: bool = True) -> None:
-        """Add fluence (x, y, z) and its diffusion to a field, (5, x, y, z), and limit it such that no source is negative.
+        """Add fluence (x, y, z) and its diffusion to a field, (5, x, y, z); limit it so that no source is negative.
 
         limit: as of `_correct`.
         """
