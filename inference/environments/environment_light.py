@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..grids.halving import halve
+from ..grids.halving import halve, refined
 from ..grids.working_cube import Cube
 from ..numerics.alike import alike_vector
 from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import DirectionWeight, Environment, PlaceLattice, pixel_directions, pixel_solid_angles
 from ..source_terms.cell_sources import EnteringLight
-from ..transport.discrete_ordinates import DiscreteOrdinates, interpolated
+from ..transport.discrete_ordinates import DiscreteOrdinates
 from ..transport.ordinates import ORDINATE_WEIGHTS, ORDINATES
 from .blurred_environment import blurred
 
@@ -290,7 +290,7 @@ def solve_environment(
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
     halve(np.ascontiguousarray(coarse), coarser)
     hidden = [channel for channel in entering if channel.visible is not None]
-    shaded = (np.stack([interpolated(values) for values in light]) for light in solve(coarser, 1.0, hidden))
+    shaded = (np.stack([refined(values) for values in light]) for light in solve(coarser, 1.0, hidden))
     even_light = iter(solve(coarse, 1.0, [channel for channel in entering if channel.visible is None]))
     light = [next(even_light if channel.visible is None else shaded) for channel in entering]
     absorbed = [values for albedo in ALBEDOS for values in solve(coarser, albedo, [*entering, even])]

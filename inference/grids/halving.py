@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cells twice as large."""
+"""Cells twice as large, and half as large."""
 
 import numpy as np
 
@@ -17,3 +17,16 @@ def halve(fine: np.ndarray, coarse: np.ndarray) -> None:
         coarse_strides=np.array(coarse.strides[:2]) // coarse.itemsize,
         size=np.array(coarse.shape),
     )
+
+
+def refined(coarse: np.ndarray) -> np.ndarray:
+    """Values float32 (x, y, z) on cells half as large, linear between the centres of the large ones."""
+    fine = np.empty([2 * n for n in coarse.shape], np.float32)
+    call(
+        "refine",
+        coarse=np.ascontiguousarray(coarse, np.float32),
+        size=np.array(coarse.shape),
+        fine=fine,
+        scratch=np.empty((coarse.shape[1] + 1, coarse.shape[2]), np.float32),
+    )
+    return fine

@@ -89,7 +89,7 @@ typedef struct {
     int64_t cells;               /* n, along an edge */
     int64_t axis, sign;          /* that all directions share */
     int64_t directions;
-    const int64_t *steps;        /* (directions, 2), along the other axes: -1, 0 or 1 */
+    const int64_t *steps;        /* (directions, 2), along the other axes: -1, 0 or 1; 0 where the axis is 2 */
     const int64_t *kinds;        /* (directions), of `leaving` and `within` */
     const float *emit;           /* (directions, 5), weights of the field's parts in the source */
     const float *gather;         /* (directions, 4), weights of the radiance in fluence and flux, or NULL */
@@ -102,8 +102,18 @@ typedef struct {
     const float *entering;       /* (directions), radiance at the faces of the cube, or NULL */
     float *sums;                 /* (4, n, n, n), fluence and flux, added to; without weights (directions, n, n, n),
                                     the mean radiance in each cell, filled */
-    float *scratch;              /* (2, directions, n + 2, n + 2) and (12, n) */
+    float *scratch;              /* (2, directions, n + 2, n + 2), at least (8, n) */
 } OrdinateSweep;
+
+/* What diffuses of light in cells, and limits: DiscreteOrdinates._correct. */
+typedef struct {
+    int64_t cells;               /* n, along an edge, at least 2 */
+    const float *fluence;        /* (n, n, n), which the field lacks; or NULL */
+    const float *diffusion;      /* (n, n, n), flux per gradient of this fluence */
+    float *field;                /* (4, n, n, n), fluence and flux, changed */
+    int64_t limited;             /* whether the fluence becomes at least 0 and the flux at most ... */
+    double most_flux;            /* ... the fluence over this */
+} LightCorrection;
 
 /* Light along directions that rise along every axis, after turning the cells: radiance_sweep.sweep_radiance. */
 typedef struct {
@@ -217,6 +227,14 @@ typedef struct {
     int64_t coarse_strides[2];
     int64_t size[3];             /* coarse cells */
 } Halving;
+
+/* Cells half as large, interpolated between the centres of the large ones: halving.refined. */
+typedef struct {
+    const float *coarse;
+    int64_t size[3];             /* of the coarse cells */
+    float *fine;                 /* (2 size[0], 2 size[1], 2 size[2]), filled */
+    float *scratch;              /* (size[1] + 1, size[2]) */
+} Refining;
 
 /* A grid interpolated between its cells' centres. */
 typedef struct {
@@ -398,8 +416,10 @@ typedef struct {
     X(follow_peak, const PeakPhotons) \
     X(trace_paths, const LightPaths) \
     X(conjugate_gradients, Diffusion) \
+    X(correct_light, const LightCorrection) \
     X(mean_cells, const CellMeans) \
     X(halve, const Halving) \
+    X(refine, const Refining) \
     X(fill_lattice, const LatticePart) \
     X(resample, const Resampling) \
     X(fill_lamp_columns, const LampSlices) \

@@ -107,6 +107,37 @@ int64_t NAMED(halve, VARIANT)(const Halving *levels) {
     return levels->size[0];
 }
 
+/* Values between those of a row and of its neighbour. */
+static void mix(int64_t count, const float *near, const float *far, float *restrict to) {
+    for (int64_t k = 0; k < count; k++) to[k] = 0.25f * far[k] + 0.75f * near[k];
+}
+
+/* The neighbour of a coarse cell that a fine one lies towards: itself at the faces. */
+static int64_t neighbour(int64_t fine, int64_t size) {
+    int64_t other = fine / 2 + (fine % 2 ? 1 : -1);
+    return other < 0 ? 0 : other < size ? other : size - 1;
+}
+
+int64_t NAMED(refine, VARIANT)(const Refining *cells) {
+    const int64_t *size = cells->size;
+    int64_t columns = size[2], plane = size[1] * columns;
+    float *slice = cells->scratch, *row = slice + plane;
+    for (int64_t i = 0; i < 2 * size[0]; i++) {
+        mix(plane, cells->coarse + i / 2 * plane, cells->coarse + neighbour(i, size[0]) * plane, slice);
+        for (int64_t j = 0; j < 2 * size[1]; j++) {
+            mix(columns, slice + j / 2 * columns, slice + neighbour(j, size[1]) * columns, row);
+            float *to = cells->fine + (i * 2 * size[1] + j) * 2 * columns;
+            to[0] = 0.25f * row[0] + 0.75f * row[0];
+            for (int64_t k = 1; k < columns; k++) {
+                to[2 * k - 1] = 0.25f * row[k] + 0.75f * row[k - 1];
+                to[2 * k] = 0.25f * row[k - 1] + 0.75f * row[k];
+            }
+            to[2 * columns - 1] = 0.25f * row[columns - 1] + 0.75f * row[columns - 1];
+        }
+    }
+    return size[0];
+}
+
 static inline float lerp(float low, float high, float fraction) { return (high - low) * fraction + low; }
 
 /* exp(-scale x) in place. */

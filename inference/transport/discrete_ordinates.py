@@ -25,7 +25,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..grids.halving import halve
+from ..grids.halving import halve, refined
+from ..kernels.library import call
 from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
@@ -184,7 +185,7 @@ class DiscreteOrdinates:
             again = np.stack([self._finer(values) for values in again])
         field, radiance = np.zeros((5, n, n, n), np.float32), np.empty((len(ORDINATES), n, n, n), np.float32)
         np.add(first, again, out=field[:4])
-        self._limit_flux(field)
+        self._bound(field)
         follow = self.sweeps.followers(field, radiance, beams=beams)
         self._sweep(Fields(field, field, radiance), follow, cancel)
         weights = spherical_harmonics(-ORDINATES) * (4.0 * np.pi * ORDINATE_WEIGHTS)
@@ -198,7 +199,7 @@ class DiscreteOrdinates:
         follow = self.sweeps.followers(field, swept, beams=beams)
         for number in range(EXACT_SWEEPS):
             np.add(first, again, out=field[:4])
-            self._limit_flux(field)
+            self._bound(field)
             self._sweep(fields, follow, cancel)
             change = self._newly_scattered(swept, again)
             again[:] = swept
@@ -262,34 +263,29 @@ class DiscreteOrdinates:
         n = len(self.density)
         source = self.means(change) * np.float32((2.0 / n) ** 2)
         correction = solve(self.equation, source, -np.inf, TOLERANCE, MAX_ITERATIONS, cancel)
-        more = self._finer(correction.astype(np.float32))
-        field[0] += more
-        for axis in range(3):
-            field[1 + axis] -= self.diffusion * np.gradient(more, np.float32(1.0 / n), axis=axis)
-        if limit:
-            np.maximum(field[0], 0.0, out=field[0])
-            self._limit_flux(field)
+        self._bound(field, self._finer(correction.astype(np.float32)), limit)
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
         """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
-        return interpolated(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        return refined(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
 
-    def _limit_flux(self, field: np.ndarray) -> None:
-        """Limit the flux of a field, (5, x, y, z), such that no source is negative."""
-        size = np.sqrt((field[1:4] ** 2).sum(axis=0)) * np.float32(3.0 * abs(self.anisotropy))
-        field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
+    def _bound(self, field: np.ndarray, more: np.ndarray | None = None, limit: bool = True) -> None:
+        """Add fluence (x, y, z) and its diffusion to a field, (5, x, y, z); limit it so that no source is negative.
+
+        limit: as of `_correct`.
+        """
+        call(
+            "correct_light",
+            cells=len(self.density),
+            fluence=more,
+            diffusion=None if more is None else self.diffusion,
+            field=field,
+            limited=limit,
+            most_flux=3.0 * abs(self.anisotropy),
+        )
 
     def means(self, values: np.ndarray) -> np.ndarray:
         """Means of 2 x 2 x 2 cells."""
         means = np.empty([n // 2 for n in values.shape], np.float32)
         halve(np.ascontiguousarray(values, np.float32), means)
         return means
-
-
-def interpolated(values: np.ndarray) -> np.ndarray:
-    """Values (x, y, z) on cells half as large, linear between the centres of the large ones."""
-    for axis in range(3):
-        v = np.moveaxis(np.pad(values, [(int(a == axis),) * 2 for a in range(3)], mode="edge"), axis, 0)
-        halves = np.stack([0.25 * v[:-2] + 0.75 * v[1:-1], 0.75 * v[1:-1] + 0.25 * v[2:]], axis=1)
-        values = np.moveaxis(halves.reshape(-1, *v.shape[1:]), 0, axis)
-    return values

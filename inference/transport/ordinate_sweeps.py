@@ -114,7 +114,7 @@ class OrdinateSweeps:
             links=entering[1],
             entering=None if entering[0] is None else np.ascontiguousarray(entering[0]),
             sums=swept,
-            scratch=np.empty(2 * len(steps) * (n + 2) ** 2 + 12 * n, np.float32),
+            scratch=np.empty(2 * len(steps) * (n + 2) ** 2, np.float32),
         )
 
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -128,6 +128,32 @@ def fill_lattice(part: Fields) -> int:
     return 0
 
 
+def correct_light(light: Fields) -> int:
+    """Add fluence and its diffusion to a field, and limit both."""
+    field = light["field"]
+    if light["fluence"] is not None:
+        field[0] += light["fluence"]
+        spacing = np.float32(1.0 / light["cells"])
+        for axis in range(3):
+            field[1 + axis] -= light["diffusion"] * np.gradient(light["fluence"], spacing, axis=axis)
+    if light["limited"]:
+        np.maximum(field[0], 0.0, out=field[0])
+        size = np.sqrt((field[1:4] ** 2).sum(axis=0)) * np.float32(light["most_flux"])
+        field[1:4] *= np.minimum(field[0] / np.maximum(size, np.float32(1e-30)), 1.0)
+    return light["cells"]
+
+
+def refine(cells: Fields) -> int:
+    """Cells half as large, linear between the centres of the large ones."""
+    values = cells["coarse"]
+    for axis in range(3):
+        v = np.moveaxis(np.pad(values, [(int(a == axis),) * 2 for a in range(3)], mode="edge"), axis, 0)
+        halves = np.stack([0.25 * v[:-2] + 0.75 * v[1:-1], 0.75 * v[1:-1] + 0.25 * v[2:]], axis=1)
+        values = np.moveaxis(halves.reshape(-1, *v.shape[1:]), 0, axis)
+    cells["fine"][...] = values
+    return len(cells["coarse"])
+
+
 def refined(grid: Fields) -> np.ndarray:
     """A grid interpolated at fine cells."""
     values = grid["values"]
@@ -138,7 +164,9 @@ def refined(grid: Fields) -> np.ndarray:
 
 
 KERNELS: dict[str, Callable[[Fields], int]] = {
+    "correct_light": correct_light,
     "fill_lattice": fill_lattice,
+    "refine": refine,
     "sweep_ahead": sweep_ahead,
     "sweep_ordinates": sweep_ordinates,
     "sweep_radiance": sweep_radiance,

@@ -131,12 +131,28 @@ static void check_gradients(int64_t variant) {
     for (int n = 0; n < 3; n++) expect("conjugate_gradients", variant, x[n], 1.0, 1e-9);
 }
 
+/* Fluence that rises along the last axis flows back, at most as much as the field has. */
+static void check_correction(int64_t variant) {
+    float fluence[8], diffusion[8], field[32] = {0.0f};
+    for (int n = 0; n < 8; n++) fluence[n] = (float)(1 + n % 2), diffusion[n] = 0.25f;
+    LightCorrection light = {.cells = 2, .fluence = fluence, .diffusion = diffusion, .field = field, .limited = 1, .most_flux = 3.0};
+    prepare("mrpnn_correct_light", variant, &light);
+    expect("correct_light", variant, field[1], 2.0, 1e-6);
+    expect("correct_light", variant, field[24], -1.0 / 3.0, 1e-6);
+    expect("correct_light", variant, field[25], -0.5, 1e-6);
+}
+
 static void check_pyramid(int64_t variant) {
     float fine[64], coarse[8];
     for (int n = 0; n < 64; n++) fine[n] = (float)n;
     Halving levels = {.fine = fine, .fine_strides = {16, 4}, .coarse = coarse, .coarse_strides = {4, 2}, .size = {2, 2, 2}};
     prepare("mrpnn_halve", variant, &levels);
     expect("halve", variant, coarse[0], 10.5, 1e-6);
+    float refined[64], slice[6];
+    Refining cells = {.coarse = coarse, .size = {2, 2, 2}, .fine = refined, .scratch = slice};
+    prepare("mrpnn_refine", variant, &cells);
+    expect("refine", variant, refined[0], 10.5, 1e-6);
+    expect("refine", variant, refined[21], 0.75 * coarse[0] + 0.25 * coarse[7], 1e-5);
     int32_t below[2] = {0, 2};
     float fraction[2] = {0.5f, 0.25f}, scratch[32];
     uint16_t packed[8];
@@ -199,6 +215,7 @@ int main(int count, char **arguments) {
         check_march(variant, padded, depths);
         check_ordinates(variant);
         check_gradients(variant);
+        check_correction(variant);
         check_pyramid(variant);
         check_products(variant);
     }
