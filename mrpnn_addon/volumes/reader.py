@@ -351,7 +351,9 @@ def _mesh_source(shown: VisibleObject, where: str) -> MeshSource:
     material = _mesh_material(shown, where)
     probe = Probe((), fills_its_bounds=True)
     material.at(probe)
-    mesh, generated = read_mesh(shown.object), _generated(shown.object.original)
+    original = shown.object.original
+    # Metaballs have no texture space of their own; that of a text or curve is also its mesh's.
+    mesh, generated = read_mesh(shown.object), _generated(original if original.type == "MESH" else shown.object)
     require_finite(mesh, where)
     return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, mesh, generated)
 

@@ -105,6 +105,24 @@ def test_fog_is_as_dense_as_in_cycles(addon, scene, tmp_path, add):
     assert ours[..., 3].mean() == pytest.approx(expected[..., 3].mean(), rel=0.1)
 
 
+@pytest.mark.parametrize("add", [add_text, add_surface, add_metaballs, add_cube_of_nodes])
+def test_generated_coordinates_are_those_of_cycles(addon, scene, tmp_path, add):
+    """Density rises along the second of them; metaballs lie around another place than their first one."""
+    shown = add(scene)
+    tree = blender_scenes.add_fog(shown.data, "Shape", "ShaderNodeVolumePrincipled", Color=BLACK).id_data
+    where, axes = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeSeparateXYZ")
+    tree.links.new(where.outputs["Generated"], axes.inputs[0])
+    tree.links.new(axes.outputs["Y"], tree.nodes["Principled Volume"].inputs["Density"])
+    give(shown, shown.data.materials[0])
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene, ortho_scale=4.0)
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    ours, expected = both(scene, tmp_path)
+    assert expected[..., 3].mean() > 0.01
+    for half in (slice(8), slice(8, 16)):
+        assert ours[half, :, 3].mean() == pytest.approx(expected[half, :, 3].mean(), rel=0.12, abs=0.002)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("add", [add_text, add_curve, add_metaballs])
 def test_fog_is_lit_as_brightly_as_in_cycles(addon, scene, tmp_path, add):
