@@ -102,11 +102,9 @@ class VolumePredictor:
                 )
         if self.volume.scattering is not None and not self._predictor.respects_albedo:
             texts.append(f"{name}: the network {network.name} knows one albedo; multiple scattering uses the mean")
-        peak, most = self.peak_sigma_hat(sigma_t), network.sigma_hat_range[1]
-        if peak > most:
+        if self.peak_sigma_hat(sigma_t) > network.sigma_hat_range[1]:
             texts.append(
-                f"{name}: optical thickness {peak:.3g} exceeds the network's range of {most:g}; "
-                "multiple scattering is less accurate"
+                f"{name}: very dense, so multiple scattering is less accurate; lower Density if it looks wrong"
             )
         return texts
 

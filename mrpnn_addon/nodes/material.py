@@ -14,7 +14,7 @@ from .emission import blackbody, reads_temperature, strength_and_colour
 from .evaluation import NodeEvaluator
 from .phase_functions import phase_function
 from .snapshot import snapshot
-from .sockets import Groups, Node, Source, Unsupported, active_output, input_of, source_of
+from .sockets import Groups, Node, Source, Unsupported, active_output, has_nodes, input_of, source_of
 
 #: Custom property of objects that show baked light.
 LIGHT_MARK = "mrpnn_light"
@@ -91,7 +91,8 @@ class VolumeMaterial:
             return
         self.output = active_output(material)
         if self.output is None:
-            self.refuse("it has no nodes, so the volume is invisible; add a Principled Volume node")
+            lacks = "Material Output with the target All or Cycles" if has_nodes(material) else "nodes"
+            self.refuse(f"it has no {lacks}, so the volume is invisible; add a Principled Volume node and its output")
         if not self.output.inputs["Volume"].is_linked:
             self.refuse("nothing is linked to the Volume socket of its output; add a Principled Volume node")
         if not shows_no_surface(self.output):

@@ -11,7 +11,7 @@ from ...inference.scene import Camera
 from ..nodes.sockets import Unsupported
 from ..objects.visibility import evaluated_world
 from ..world.lighting import constant_background, is_wanted
-from ..world.picture import WorldSource, is_viewed, world_source
+from ..world.picture import WorldSource, cached_source, world_source
 from ..world.process import PictureFailed
 
 # Cycles' samples for each pixel that differs from its neighbours.
@@ -92,7 +92,8 @@ def sky_seconds(depsgraph: "bpy.types.Depsgraph", camera: Camera) -> float:
         try:
             constant_background(world)
         except Unsupported:
-            behind = not is_viewed(world, scene)
+            source = cached_source(world, scene)
+            behind = source is None or not source.has_view(camera, SAMPLES, pixel_filter(scene))
     x0, y0, x1, y1 = camera.window
     pixels = (x1 - x0) * (y1 - y0) if behind else 0
     return CYCLES_START * (light or behind) + LIGHT_SECONDS * light + PIXEL_SECONDS * pixels

@@ -351,13 +351,16 @@ def _mesh_source(shown: VisibleObject, where: str) -> MeshSource:
     material = _mesh_material(shown, where)
     probe = Probe((), fills_its_bounds=True)
     material.at(probe)
-    mesh, generated = read_mesh(shown.object), _generated(shown.object.original)
+    mesh, generated = read_mesh(shown.object), _generated(shown.object)
     require_finite(mesh, where)
     return MeshSource(_key(shown, probe.placed), where, material, shown.matrix, mesh, generated)
 
 
 def _generated(mesh_object: "bpy.types.Object") -> np.ndarray:
-    """(4, 4): object space to the mesh's texture space, 0 to 1 over the bounds of the object's own mesh."""
+    """(4, 4): object space to the mesh's texture space, 0 to 1 over its bounds.
+
+    Of an evaluated object as in Cycles: modifiers keep the texture space, geometry nodes that make a mesh give its own.
+    """
     mesh: Any = mesh_object.data
     location, size = np.array(mesh.texspace_location), np.array(mesh.texspace_size)
     matrix = np.eye(4)

@@ -81,18 +81,7 @@ class WorldSource:
 
         pixel_filter: Cycles' filter type and its width in pixels. check: as of `read`.
         """
-        numbers = {
-            name: np.array(getattr(camera, name)).tolist()
-            for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")
-        }
-        job = {
-            "matrix": camera.world_matrix.tolist(),
-            "projection": camera.projection,
-            "region": camera.region,
-            "samples": samples,
-            "filter": pixel_filter,
-            **numbers,
-        }
+        job = _view_job(camera, samples, pixel_filter)
         key = repr(job)
         if key not in self._views:
             x0, y0, x1, y1 = camera.window
@@ -109,14 +98,29 @@ class WorldSource:
             raise PictureFailed(f'image "{self._unsaved}" has unsaved changes; save or pack it')
         return self._process.ask(job, check, seconds)
 
-    @property
-    def viewed(self) -> bool:
-        """Whether any view is cached."""
-        return bool(self._views)
+    def has_view(self, camera: Camera, samples: int, pixel_filter: tuple[str, float]) -> bool:
+        """Whether `view` of the same arguments is cached."""
+        return repr(_view_job(camera, samples, pixel_filter)) in self._views
 
     def stop(self) -> None:
         """End its process."""
         self._process.stop()
+
+
+def _view_job(camera: Camera, samples: int, pixel_filter: tuple[str, float]) -> dict:
+    """What the process is asked for a camera's view; its `repr` identifies the view."""
+    numbers = {
+        name: np.array(getattr(camera, name)).tolist()
+        for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")
+    }
+    return {
+        "matrix": camera.world_matrix.tolist(),
+        "projection": camera.projection,
+        "region": camera.region,
+        "samples": samples,
+        "filter": pixel_filter,
+        **numbers,
+    }
 
 
 _known: dict[tuple, WorldPicture | PictureFailed] = {}
@@ -139,10 +143,9 @@ def is_known(world: "bpy.types.World", scene: "bpy.types.Scene") -> bool:
     return _key(world, scene) in _known
 
 
-def is_viewed(world: "bpy.types.World", scene: "bpy.types.Scene") -> bool:
-    """Whether any camera's view of a World is cached."""
-    source = _sources.get(_key(world, scene))
-    return source is not None and source.viewed
+def cached_source(world: "bpy.types.World", scene: "bpy.types.Scene") -> WorldSource | None:
+    """The source of an evaluated World, if it has one already."""
+    return _sources.get(_key(world, scene))
 
 
 def world_picture(

@@ -268,6 +268,37 @@ def test_an_estimate_knows_of_a_sky_that_cycles_renders(addon, scene, cloud, sai
     assert plain + 1.0 < light <= light_and_background
 
 
+@pytest.mark.slow
+def test_a_sky_counts_until_cycles_has_rendered_this_view_of_it(addon, scene, cloud):
+    """Another view of it, such as the viewport's, saves F12 nothing."""
+    scene.render.engine = "MRPNN"
+    tree = scene.world.node_tree
+    sky = tree.nodes.new("ShaderNodeTexNoise")
+    tree.links.new(sky.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+    tree.nodes["Background"].inputs["Strength"].default_value = 1.0
+    scene.render.resolution_x, scene.render.resolution_y = 16, 12
+    assert sky_seconds(addon, scene) > 0.0
+    graph = blender_scenes.depsgraph()
+    film, camera = addon.mrpnn_addon.scene.film, addon.mrpnn_addon.objects.camera.read_camera(graph)[0]
+    film.read_background(graph, camera)
+    assert sky_seconds(addon, scene) == 0.0
+    for change in (
+        lambda: setattr(scene.render, "resolution_percentage", 200),
+        lambda: setattr(scene.camera.data, "lens", 35.0),
+        lambda: setattr(scene.camera, "location", (0.0, 1.0, 6.0)),
+    ):
+        scene.render.resolution_percentage = 100
+        change()
+        assert sky_seconds(addon, scene) > 0.0
+
+
+def sky_seconds(addon, scene):
+    """Of the scene's camera, as the forecast counts them."""
+    graph = blender_scenes.depsgraph()
+    camera = addon.mrpnn_addon.objects.camera.read_camera(graph)[0]
+    return addon.mrpnn_addon.scene.film.sky_seconds(graph, camera)
+
+
 def test_the_machines_speed_is_kept_for_the_next_session(addon, scene, cloud, said, tmp_path):
     scene.render.resolution_percentage = 400
     bpy.ops.mrpnn.render()

@@ -340,6 +340,14 @@ def unlink(node):
     node.id_data.links.clear()
 
 
+def output_for_eevee(node):
+    node.id_data.get_output_node("CYCLES").target = "EEVEE"
+
+
+def remove_output(node):
+    node.id_data.nodes.remove(node.id_data.get_output_node("CYCLES"))
+
+
 def bend_phase(node):
     link(node, "Math", density_grid(node), into="Anisotropy")
 
@@ -351,6 +359,8 @@ def bend_phase(node):
         (clear_attribute, "Density Attribute"),
         (fog_without_end, "endless fog"),
         (unlink, "Volume socket"),
+        (output_for_eevee, "no Material Output with the target All or Cycles"),
+        (remove_output, "no Material Output with the target All or Cycles"),
     ],
 )
 def test_what_cannot_be_rendered_is_refused_by_name(addon, scene, box, change, named):

@@ -62,7 +62,24 @@ def add_instances(scene):
 
 def add_cube_of_nodes(scene):
     """A text that geometry nodes replace by a cube, whose material they set: the cube's first slot is empty."""
-    shown = add_text(scene)
+    return replaced(add_text(scene))
+
+
+def add_replaced_mesh(scene):
+    """A mesh that geometry nodes replace by a larger one."""
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.0, 0.25, 0.0))
+    return replaced(bpy.context.object)
+
+
+def add_modified_mesh(scene):
+    """A mesh that modifiers make larger."""
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=(0.0, -1.0, 0.0))
+    bpy.context.object.modifiers.new("Array", "ARRAY").relative_offset_displace = (0.0, 1.5, 0.0)
+    return bpy.context.object
+
+
+def replaced(shown):
+    """An object whose geometry nodes put a cube of edge 1 in its place."""
     tree = bpy.data.node_groups.new("Cube", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     cube, painted = tree.nodes.new("GeometryNodeMeshCube"), tree.nodes.new("GeometryNodeSetMaterial")
@@ -89,6 +106,7 @@ def both(scene, folder, bounces=0):
     return ours, blender_scenes.render_cycles(scene, folder, samples=64, bounces=bounces)
 
 
+GENERATED = (add_text, add_surface, add_metaballs, add_cube_of_nodes, add_replaced_mesh, add_modified_mesh)
 KINDS = (add_text, add_solid_text, add_curve, add_surface, add_metaballs, add_instances, add_cube_of_nodes)
 
 
@@ -103,6 +121,24 @@ def test_fog_is_as_dense_as_in_cycles(addon, scene, tmp_path, add):
     ours, expected = both(scene, tmp_path)
     assert expected[..., 3].mean() > 0.02
     assert ours[..., 3].mean() == pytest.approx(expected[..., 3].mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("add", GENERATED)
+def test_generated_coordinates_are_those_of_cycles(addon, scene, tmp_path, add):
+    """Density rises along the second of them; metaballs lie around another place than their first one."""
+    shown = add(scene)
+    tree = blender_scenes.add_fog(shown.data, "Shape", "ShaderNodeVolumePrincipled", Color=BLACK).id_data
+    where, axes = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeSeparateXYZ")
+    tree.links.new(where.outputs["Generated"], axes.inputs[0])
+    tree.links.new(axes.outputs["Y"], tree.nodes["Principled Volume"].inputs["Density"])
+    give(shown, shown.data.materials[0])
+    blender_scenes.add_sun(scene)
+    blender_scenes.add_camera(scene, ortho_scale=4.0)
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    ours, expected = both(scene, tmp_path)
+    assert expected[..., 3].mean() > 0.01
+    for half in (slice(8), slice(8, 16)):
+        assert ours[half, :, 3].mean() == pytest.approx(expected[half, :, 3].mean(), rel=0.12, abs=0.002)
 
 
 @pytest.mark.slow
