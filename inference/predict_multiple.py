@@ -5,6 +5,7 @@ import numpy as np
 
 from .image.context import RenderContext
 from .models.abilities import abilities
+from .plan.detail import without_detail
 from .points.group_radiance import GroupRadiance
 from .render import prepare_scene
 from .render_cache import RenderCache
@@ -42,7 +43,7 @@ def predict_multiple(
         return result
     if Families.of([light]).lamps and not abilities(model).every_light:
         raise SceneError(f"{light.name}: the network {model} knows suns alone")
-    settings, report = Settings(model=model, threads=1), Report()
+    settings, report = without_detail(Settings(model=model, threads=1)), Report()
     with Tasks(settings.threads) as tasks:
         context = RenderContext(settings, RenderCache(), tasks, Progress(None), report)
         scene = prepare_scene(context, [(volume, medium)], [light], _NO_IMAGE)

@@ -341,9 +341,10 @@ def _shadows(
     context.progress.expect("shadows", sum(voxels) * len(plan.suns))
     with context.report.stage("shadows"), context.progress.stage("shadows"):
         sun_depths = []
-        for grid, (volume, _), count in zip(grids, plan.volumes, voxels):
+        towards = [sun.direction for sun in plan.suns]
+        for grid, (volume, _), octaves, count in zip(grids, plan.volumes, plan.coarser_shadows, voxels):
             context.progress.message(f"shadows of {volume.name}")
-            sun_depths.append(grid.sun_depths([sun.direction for sun in plan.suns], context.cancel))
+            sun_depths.append(grid.sun_depths(towards, octaves, context.cancel))
             context.progress.advance("shadows", count * len(plan.suns))
     with context.report.stage("shadows"):
         context.progress.message("shadows of lamps")
@@ -363,7 +364,7 @@ def _groups(
             group = None
             if network is not None and plan.multiple[g]:
                 own = [grids[v] for v in members]
-                group = context.cache.group(network, plan.members(g), own, g, context.cancel)
+                group = context.cache.group(network, plan.members(g), own, g, plan.coarser[g], context.cancel)
                 channels = next((channels for channels in plan.channels if plan.predicts(g, channels)), None)
                 if channels is not None:
                     sigma_t, name = float(group.medium.sigma_t[channels.indices[0]]), group.volume.name
@@ -405,7 +406,8 @@ def _open_groups(
             visible = open_volume(group.volume, stopping, eye, cancel)
         with context.report.stage("fields"):
             members = [(visible, group.medium)]
-            opened.append(context.cache.group(scene.network, members, [], number, cancel))
+            coarser = group.predictor.coarser
+            opened.append(context.cache.group(scene.network, members, [], number, coarser, cancel))
     return opened
 
 

@@ -140,21 +140,24 @@ class RenderCache:
         members: Members,
         grids: Sequence[Grid],
         number: int,
+        coarser: int = 0,
         cancel: CancelToken = NEVER,
     ) -> ScatteringGroup:
         """The ScatteringGroup of some volumes.
 
-        grids: Grid of each member. number: of the group in its render; replaces the group that had it before.
+        grids: Grid of each member. number: of the group in its render; replaces the group that had it before. coarser:
+        as of VolumePredictor.
         """
         with cancel.locked(self._lock):
             volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel)
             known: VolumePredictor | None = self._predictors.get(number)
-            if known is None or not _serves(known, network, volume, medium):
+            if known is None or known.coarser != coarser or not _serves(known, network, volume, medium):
                 self._predictors.pop(number, None)
                 bounds = grids[0].voxels.filled if len(grids) == 1 else None
                 cube = fit_cube(volume, bounds)
                 key = id(network), medium.anisotropy, volume.voxels_key, cube.in_voxels(volume)
-                known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, self._instances.get(key))
+                like = self._instances.get(key)
+                known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, like, coarser)
                 self._predictors[number] = self._instances[key] = known
             return ScatteringGroup(volume, medium, known)
 

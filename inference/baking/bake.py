@@ -8,6 +8,7 @@ import numpy as np
 
 from ..image.context import PreparedScene, RenderContext
 from ..kernels.library import load_kernels
+from ..plan.detail import without_detail
 from ..plan.plan import Channels, last_albedo
 from ..plan.precision import in_range
 from ..points.group_radiance import STEPS_PER_POINT, GroupRadiance
@@ -82,7 +83,7 @@ def bake(
 
     Raises SceneError for a scene that cannot be rendered, Cancelled when asked to stop.
     """
-    settings, report = settings or Settings(), Report()
+    settings, report = without_detail(settings or Settings()), Report()
     scaled = [in_range(volume, medium) for volume, medium in volumes]
     with Tasks(settings.threads, CancelToken(cancelled)) as tasks:
         with report.stage("total"):

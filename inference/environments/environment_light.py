@@ -57,7 +57,11 @@ class Skies:
 
     @classmethod
     def of(cls, environments: Sequence[Environment], rotation: np.ndarray) -> "Skies":
-        """The sum of environments, in a frame as of `image_in_frame`; the same object for instances turned alike."""
+        """The sum of environments, in a frame as of `image_in_frame`; the same object for instances turned alike, and
+        for all where it is the same from everywhere."""
+        if all(environment.even for environment in environments):
+            # It is the same in every frame.
+            rotation = np.eye(3)
         key = alike_vector(rotation.ravel()), *map(id, environments)
         known = _skies.get(key)
         if known is not None:

@@ -102,6 +102,21 @@ class Lattices:
         features *= self.step
 
 
+class ThinnerLattices(Lattices):
+    """Lattices of the density feature, read for a fraction of the optical thickness for which they were built."""
+
+    def __init__(self, built: Lattices, fraction: float):
+        super().__init__(built.values, built.levels, built.step)
+        self.built, self.fraction = built, np.float32(fraction)
+
+    def read(self, index: np.ndarray, features: np.ndarray) -> None:
+        """As of Lattices."""
+        super().read(index, features)
+        np.expm1(features, out=features)
+        features *= self.fraction
+        np.log1p(features, out=features)
+
+
 def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fine cells of mip m that stencils around points from low to high (3,) can read: first, last + 1."""
     margin, reach, scale = margins(stencil)[m], stencil.reach(m), (LEVEL0_CELLS >> m) * FINE[m]

@@ -38,6 +38,11 @@ class DenseGrid:
         self.padded = pad_with_zeros(values)
         self.peak = float(values.max())
 
+    @property
+    def values(self) -> np.ndarray:
+        """As given."""
+        return self.padded[1:-2, 1:-2, 1:-2]
+
     def sample(self, index: np.ndarray) -> np.ndarray:
         """Values float32 (N,) at continuous indices float32 (3, N), trilinear, 0 outside."""
         return sample_padded(self.padded, index)

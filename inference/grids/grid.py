@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..numerics.interpolation import halved_means
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import affine_inverse, inverse, product
 from ..plan.resolution import refinement
@@ -48,20 +49,40 @@ class Voxels:
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
         self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
         # Of all instances, as long as one of them holds them.
-        self._sun_depths: weakref.WeakValueDictionary[bytes, SunOpticalDepth] = weakref.WeakValueDictionary()
+        self._sun_depths: weakref.WeakValueDictionary[tuple[bytes, int], SunOpticalDepth] = (
+            weakref.WeakValueDictionary()
+        )
+        self._coarser: dict[int, DenseGrid | SparseGrid] = {}
         self._lock = threading.Lock()
 
-    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
-        """Optical depth towards each sun; directions: (3,) towards it, d(index)/d(world unit). Raises Cancelled."""
+    def sun_depths(
+        self, directions: Sequence[np.ndarray], octaves: int = 0, cancel: CancelToken = NEVER
+    ) -> list[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: (3,) towards it, d(index)/d(world unit).
+
+        octaves: by which the voxels of its columns are larger than these. Raises Cancelled.
+        """
         found = []
         with cancel.locked(self._lock):
+            density = self._coarsened(octaves)
             for direction in directions:
                 cancel.check()
-                key = bytes(direction)
-                known = self._sun_depths.get(key) or SunOpticalDepth(self.density, direction, cancel)
+                key = bytes(direction), octaves
+                known = self._sun_depths.get(key) or SunOpticalDepth(density, direction / 2**octaves, cancel, octaves)
                 self._sun_depths[key] = known
                 found.append(known)
         return found
+
+    def _coarsened(self, octaves: int) -> DenseGrid | SparseGrid:
+        """The density in larger voxels."""
+        if not octaves:
+            return self.density
+        if octaves not in self._coarser:
+            finer = self._coarsened(octaves - 1)
+            self._coarser[octaves] = (
+                finer.halved() if isinstance(finer, SparseGrid) else DenseGrid(halved_means(finer.values))
+            )
+        return self._coarser[octaves]
 
 
 class Grid:
@@ -93,12 +114,14 @@ class Grid:
         self.voxel, self.longest = float(sizes.min()), float(sizes.max())
         self._sun_depths: list[SunOpticalDepth] = []
 
-    def sun_depths(self, directions: Sequence[np.ndarray], cancel: CancelToken = NEVER) -> list[SunOpticalDepth]:
-        """Optical depth towards each sun; directions: unit vectors (3,) in the world.
+    def sun_depths(
+        self, directions: Sequence[np.ndarray], octaves: int = 0, cancel: CancelToken = NEVER
+    ) -> list[SunOpticalDepth]:
+        """Optical depth towards each sun; directions: unit vectors (3,) in the world. octaves: as of Voxels.
 
         The depths of the last call are cached, and shared with other instances. Raises Cancelled.
         """
-        found = self.voxels.sun_depths([self.linear @ direction for direction in directions], cancel)
+        found = self.voxels.sun_depths([self.linear @ direction for direction in directions], octaves, cancel)
         self._sun_depths = found
         return found
 

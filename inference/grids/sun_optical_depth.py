@@ -70,10 +70,15 @@ class Integration:
 class SunOpticalDepth:
     """Optical depth through one grid towards one sun, for an extinction of 1 per unit density and world unit.
 
-    grid: DenseGrid or SparseGrid. direction: (3,) towards the sun, d(index)/d(world unit). Raises Cancelled.
+    grid: DenseGrid or SparseGrid. direction: (3,) towards the sun, d(index)/d(world unit). octaves: by which the voxels
+    of the grid are larger than those whose indices points are given in; direction is in the larger ones. Raises
+    Cancelled.
     """
 
-    def __init__(self, grid: DenseGrid | SparseGrid, direction: np.ndarray, cancel: CancelToken = NEVER):
+    def __init__(
+        self, grid: DenseGrid | SparseGrid, direction: np.ndarray, cancel: CancelToken = NEVER, octaves: int = 0
+    ):
+        self.octaves = octaves
         self.grid, self.direction, self.main = grid, direction, int(np.abs(direction).argmax())
         self.peak = grid.peak
         self.others = [axis for axis in range(3) if axis != self.main]
@@ -125,6 +130,8 @@ class SunOpticalDepth:
             table, depths = None, columns.depths
             assert depths.shape == (len(offsets), *columns.size)
         return structures.SunColumns(
+            octaves=self.octaves,
+            density=describe_grid(self.grid) if self.octaves else structures.Grid(),
             depths=np.ascontiguousarray(depths, np.float32),
             table=table,
             offsets=offsets,

@@ -174,8 +174,7 @@ int64_t NAMED(sun_depths, VARIANT)(const SunDepths *data) {
             const float *from = data->index + axis * data->points + point;
             FOR_LANES(n) index[axis][n] = from[n < used ? n : used - 1];
         }
-        depth = data->outside ? sun_depth_outside(&data->density, &data->columns, extinction, index, in_all(0.0f))
-                              : sun_depth(&data->density, &data->columns, extinction, index, in_all(0.0f));
+        depth = volume_sun_depth(&data->density, &data->columns, extinction, index, in_all(0.0f), (int)data->outside);
         for (int n = 0; n < used; n++) data->out[point + n] = depth[n];
     }
     return data->points;

@@ -43,8 +43,11 @@ typedef struct {
     double turn[9];          /* velocity in the world from the grids' values */
 } Flow;
 
-/* Optical depth through one grid towards one sun: DenseColumns where table is NULL, SparseColumns otherwise. */
+/* Optical depth through one grid towards one sun: DenseColumns where table is NULL, SparseColumns otherwise. All indices
+are of the volume's grid or, where larger voxels serve its shadows, of those. */
 typedef struct {
+    int64_t octaves;         /* by which voxels are larger than the volume's, */
+    Grid density;            /* and their density; unused for 0 */
     const float *depths;     /* dense: (slices, size[0], size[1]); sparse: (tiles, 8, 8) */
     const int32_t *table;    /* sparse: (slices / 8, size[0] / 8, size[1] / 8) */
     const float *offsets;    /* (slices, 2) */

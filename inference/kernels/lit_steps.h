@@ -128,8 +128,7 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                 }
                 const SunColumns *sun = medium->suns + l;
                 float extinction = (float)medium->sigma_t;
-                sum += outside ? sun_depth_outside(&medium->density, sun, extinction, position, depth)
-                               : sun_depth(&medium->density, sun, extinction, position, depth);
+                sum += volume_sun_depth(&medium->density, sun, extinction, position, depth, outside);
             }
             if (work->group_met[g]) store_at_edges(work, e, used, sum, work->start + g * stride, work->end + g * stride);
             total += sum;

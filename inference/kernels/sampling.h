@@ -331,6 +331,19 @@ static inline Floats sun_depth_outside(const Grid *density, const SunColumns *su
     return choose(met, sun_depth(density, sun, extinction, moved, camera_depth), in_all(0.0f));
 }
 
+/* As one of the above, at indices of the volume's grid; outside: whether points may lie outside the support. */
+static inline Floats volume_sun_depth(const Grid *density, const SunColumns *sun, float extinction,
+                                      const Floats *position, Floats camera_depth, int outside) {
+    Floats larger[3];
+    if (sun->octaves) {
+        float edge = (float)((int64_t)1 << (sun->octaves & 31)), middle = 0.5f * (edge - 1.0f);
+        for (int axis = 0; axis < 3; axis++) larger[axis] = (position[axis] - middle) / edge;
+        density = &sun->density, position = larger;
+    }
+    return outside ? sun_depth_outside(density, sun, extinction, position, camera_depth)
+                   : sun_depth(density, sun, extinction, position, camera_depth);
+}
+
 /* Visibility of a sun from 0 to 1 by percentage-closer filtering; position: column, row, height. */
 static inline float visibility_of(const ShadowMap *map, const float *position) {
     float column = clamped(position[0], -FAR_AWAY, FAR_AWAY), row = clamped(position[1], -FAR_AWAY, FAR_AWAY);

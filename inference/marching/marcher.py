@@ -25,7 +25,6 @@ from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import Cancelled
 from ..scene.description import Medium
 from ..source_terms.described_lamps import describe_emitter, describe_shadow_map
-from ..transport.discrete_ordinates import CELLS
 from ..transport.scattered_fluence import ScatteredFluence
 from .depth_samples import COARSE_COUNT, MIN_ALPHA, possible_counts
 from .joined_lamps import PredictedLamp
@@ -390,12 +389,13 @@ def _fluences(fluences: Sequence[ScatteredFluence | None]) -> list[structures.Sh
 def _fluence(fluence: ScatteredFluence | None, lights: Sequence[np.ndarray]) -> structures.Shared:
     if fluence is None:
         return structures.Fluence(reduced_fraction=1.0)
-    assert all(light.shape == (CELLS, CELLS, CELLS, 4) for light in lights)
+    cells = len(lights[0]) if lights else 0
+    assert all(light.shape == (cells, cells, cells, 4) for light in lights)
     pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
     described = structures.Fluence(
         lights=pointers,
         scales=None if fluence.scales is None else np.array(fluence.scales, np.float64),
-        cells=CELLS,
+        cells=cells,
         linear=fluence.linear,
         offset=fluence.offset,
         flux_from_world=fluence.flux_from_world(),

@@ -119,6 +119,9 @@ class EveryLightPredictor(Predictor, Protocol):
     def coarse(self) -> np.ndarray:
         """Density of the volume on the cells of the coarse transport."""
 
+    def coarsened(self, coarser: int) -> "EveryLightPredictor":
+        """The same on cells of the coarse transport that are so many octaves larger than usual."""
+
     def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
         """Solver of the transport without surfaces, on cells twice as large."""
 

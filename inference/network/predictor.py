@@ -45,6 +45,7 @@ class VolumePredictor:
 
     network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
     cube: of `fit_cube`, where it is known. like: of another instance of the same voxels, whose cube lies alike in them.
+    coarser: octaves by which cells of the coarse transport are larger than usual; 0 for networks that know suns alone.
     Safe on several threads. Raises Cancelled.
 
     Outside the range of optical thickness that the network was trained for, the prediction is that at the end of the
@@ -61,20 +62,28 @@ class VolumePredictor:
         cancel: CancelToken = NEVER,
         cube: Cube | None = None,
         like: "VolumePredictor | None" = None,
+        coarser: int = 0,
     ):
         self.network, self.volume = network, volume
         self.cube, self.requested_anisotropy = cube or fit_cube(volume), anisotropy
         self.extent = extent(volume, self.cube)
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
-        #: The same for instances of one volume.
-        self.kind: object = object() if like is None else like.kind
+        self.coarser = coarser
         if like is None:
+            self._voxels: object = object()
             self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
         else:
-            self._predictor = like._predictor.at(self.cube)
+            self._voxels, self._predictor = like._voxels, like._predictor.at(self.cube)
+        if coarser != (0 if like is None else like.coarser):
+            self._predictor = self._every_light.coarsened(coarser)
         self._lock = threading.Lock()
         # The last of each class of light.
         self._last: dict[type, tuple[Hashable, RadiancePredictor]] = {}
+
+    @property
+    def kind(self) -> Hashable:
+        """Equal for instances of one volume that share what is prepared for them."""
+        return id(self._voxels), self.coarser
 
     @property
     def _every_light(self) -> EveryLightPredictor:
@@ -243,7 +252,7 @@ class VolumePredictor:
     @property
     def lamp_radius(self) -> float:
         """Distance from a lamp, in world units, within which the coarse transport does not tell its light apart."""
-        return self.cube.edge / CELLS
+        return self.cube.edge / (CELLS >> self.coarser)
 
     def transport_share(self, light: PredictedLight) -> float:
         """Share of the coarse transport alone in a light's multiple scattering, 0 to 1."""

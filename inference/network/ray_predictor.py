@@ -27,7 +27,7 @@ from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
 from ..source_terms.lamp_beam import CubeCells
 from ..source_terms.nearby_light import NearbyMedium
-from ..transport.discrete_ordinates import CELLS, LEVEL, DiscreteOrdinates
+from ..transport.discrete_ordinates import LEVEL, DiscreteOrdinates
 from ..transport.mean_free_path import mean_free_path
 from ..transport.scattered_fluence import (
     FluenceLattice,
@@ -66,7 +66,7 @@ class _Solved:
 
     @functools.cached_property
     def light(self) -> np.ndarray:
-        """Fluence and flux, float32 (64, 64, 64, 4), of half precision. Whoever reads them shares this array."""
+        """Fluence and flux, float32 (n, n, n, 4), of half precision. Whoever reads them shares this array."""
         light = (
             fluence_and_flux(self.cells) if self.for_networks else self.cells[1:-1, 1:-1, 1:-1, :4].astype(np.float16)
         )
@@ -84,11 +84,14 @@ class _SolvedEnvironment:
 class _Instances:
     """What the instances of a volume share: what they read, and of each light what any of them still uses.
 
-    many: whether there are several.
+    coarse, fine: levels of the density pyramid, that the coarse transport is solved on and that light is gathered
+    through. many: whether there are several.
     """
 
-    def __init__(self) -> None:
-        self.many = False
+    def __init__(self, density: DensityReader, coarser: int) -> None:
+        """coarser: as of RayPredictor.coarsened."""
+        self.coarse, self.fine = (np.ascontiguousarray(density.level(m + coarser)) for m in (LEVEL, GATHER_LEVEL))
+        self.many = coarser > 0
         self.transport: tuple[Hashable, DiscreteOrdinates] | None = None
         self.depths: OpenDepths | None = None
         self.albedo: CoarseAlbedo | None = None
@@ -134,10 +137,15 @@ class RayPredictor(Predictor):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
         self._lock = threading.Lock()
         self.volume, self.density = volume, DensityReader(volume, cube, network.points, cancel)
-        # The levels that the coarse transport is solved on and that light is gathered through.
-        self.coarse, self.fine = (np.ascontiguousarray(self.density.level(m)) for m in (LEVEL, GATHER_LEVEL))
-        self._shared = _Instances()
+        #: What instances share, by `coarser` of their cells.
+        self._sharing = {0: _Instances(self.density, 0)}
+        self._shared = self._sharing[0]
         self._forget()
+
+    @property
+    def coarse(self) -> np.ndarray:
+        """The level of the density pyramid that the coarse transport is solved on, float32 (n, n, n)."""
+        return self._shared.coarse
 
     def _forget(self) -> None:
         """Hold nothing of any light."""
@@ -150,7 +158,18 @@ class RayPredictor(Predictor):
         instance = copy.copy(self)
         instance.cube = cube
         instance._forget()
-        self._shared.many = True
+        self._shared.many = self.density.many = True
+        return instance
+
+    def coarsened(self, coarser: int) -> "RayPredictor":
+        """As of EveryLightPredictor."""
+        with self._lock:
+            known = self._sharing.get(coarser)
+            if known is None:
+                known = self._sharing[coarser] = _Instances(self.density, coarser)
+        instance = copy.copy(self)
+        instance._shared = known
+        instance._forget()
         return instance
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedRays:
@@ -164,8 +183,8 @@ class RayPredictor(Predictor):
             return known
 
         def make(cancel: CancelToken = NEVER) -> tuple[FinalGather, float]:
-            depth, most = light.unit_depth(CubeCells(self.fine, sigma_hat), cancel)
-            return FinalGather.of(self.fine, depth, solved.light, (sigma_hat, self.anisotropy)), most
+            depth, most = light.unit_depth(CubeCells(self._shared.fine, sigma_hat), cancel)
+            return FinalGather.of(self._shared.fine, depth, solved.light, (sigma_hat, self.anisotropy)), most
 
         gather, most = functools.partial(self._shared.gather, conditions.key, make), 1.0
         if light.near is not None or not self._shared.many:
@@ -295,7 +314,7 @@ class RayPredictor(Predictor):
         if solved is None:
             if conditions.albedo is None:
                 solver = self._solver(conditions)
-                cells = solver.solve(light.source(CELLS), cancel)
+                cells = solver.solve(light.source(len(self.coarse)), cancel)
             else:
                 albedo = max(conditions.albedo, MIN_ALBEDO)
                 solver = self._new_solver(conditions, albedo)

@@ -43,3 +43,13 @@ def lerp_into(low: np.ndarray, high: np.ndarray, fraction: np.ndarray) -> np.nda
     high *= fraction
     high += low
     return high
+
+
+def halved_means(values: np.ndarray) -> np.ndarray:
+    """Means float32 of 2 x 2 x 2 values (nx, ny, nz), of any number along each axis; zeros are behind the last."""
+    for axis in range(3):
+        along = np.moveaxis(values, axis, 0)
+        means = 0.5 * along[::2]
+        means[: len(along) // 2] += 0.5 * along[1::2]
+        values = np.moveaxis(means, 0, axis)
+    return np.ascontiguousarray(values, np.float32)

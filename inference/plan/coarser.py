@@ -3,10 +3,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ..scene.description import Medium, Volume
+from ..numerics.interpolation import halved_means
+from ..scene.description import Medium, Volume, Voxels
 from ..scene.errors import SceneError
 from ..scene.sparse_grid import SparseGrid
 from .resolution import FINE_EDGE
@@ -19,8 +21,8 @@ def fitting_volumes(
 ) -> tuple[Volumes, list[str]]:
     """Volumes of a render that needs at most `limit` bytes, and sentences about those that lost resolution.
 
-    needed: bytes that a render of some volumes needs. adapts: whether volumes may lose resolution: the largest dense
-    grid is halved first, for all of its instances. Raises SceneError where that is not enough.
+    needed: bytes that a render of some volumes needs. adapts: whether volumes may lose resolution: the largest grid
+    is halved first, for all of its instances. Raises SceneError where that is not enough.
     """
     found, amount = volumes, needed(volumes)
     times, remaining = np.ones(len(volumes), int), amount
@@ -46,26 +48,29 @@ def fitting_volumes(
 
 
 def halved(volume: Volume) -> Volume:
-    """The means of 2 x 2 x 2 voxels of a dense volume, which keep density, emission and scattered light."""
-    emission = None
-    if isinstance(volume.emission, np.ndarray):
-        power = volume.emission_power
-        means = [_means(np.sign(e) * np.abs(e) ** power) for e in np.moveaxis(volume.emission, 3, 0)]
-        emission = np.stack([np.sign(mean) * np.abs(mean) ** (1.0 / power) for mean in means], axis=3)
-    scattering = None if volume.scattering is None else tuple(map(_means, volume.scattering))
+    """The means of 2 x 2 x 2 voxels of a volume, which keep density, emission and scattered light."""
+    density, power = _halved(volume.density), volume.emission_power
+
+    def alike(values: Voxels) -> Voxels:
+        """On the voxels of the density; sparse grids share its blocks."""
+        means = _halved(values)
+        return density.with_values(means.values) if isinstance(density, SparseGrid) else means
+
+    channels = [_power(alike(_power(channel, power)), 1.0 / power) for channel in volume.emission_channels()]
     return replace(
         volume,
-        density=_means(volume.density),
+        density=density,
         world_from_index=_placed(volume),
-        emission=emission,
-        scattering=scattering,
+        emission=np.stack(channels, axis=3) if isinstance(volume.emission, np.ndarray) else tuple(channels) or None,
+        scattering=None if volume.scattering is None else tuple(map(alike, volume.scattering)),
     )
 
 
 def _size(volume: Volume) -> int:
     """Voxels of a volume that can be halved, else 0: small grids are refined anyway."""
-    coarse = not isinstance(volume.density, SparseGrid) and max(volume.density.shape) >= 2 * FINE_EDGE
-    return int(np.prod(volume.density.shape)) if coarse else 0
+    if max(volume.density.shape) < 2 * FINE_EDGE:
+        return 0
+    return int(volume.density.values.size if isinstance(volume.density, SparseGrid) else volume.density.size)
 
 
 def _placed(volume: Volume) -> np.ndarray:
@@ -75,12 +80,12 @@ def _placed(volume: Volume) -> np.ndarray:
     return volume.world_from_index @ larger
 
 
-def _means(values: np.ndarray | SparseGrid) -> np.ndarray:
-    """Means of 2 x 2 x 2 values; there are zeros behind the last."""
-    assert not isinstance(values, SparseGrid)
-    for axis in range(3):
-        along = np.moveaxis(values, axis, 0)
-        means = 0.5 * along[::2]
-        means[: len(along) // 2] += 0.5 * along[1::2]
-        values = np.moveaxis(means, 0, axis)
-    return np.ascontiguousarray(values, np.float32)
+def _halved(values: Voxels) -> Any:
+    return values.halved() if isinstance(values, SparseGrid) else halved_means(values)
+
+
+def _power(values: Voxels, power: float) -> Any:
+    """A power of each value, with its sign."""
+    numbers = values.values if isinstance(values, SparseGrid) else values
+    raised = np.sign(numbers) * np.abs(numbers) ** power
+    return values.with_values(raised) if isinstance(values, SparseGrid) else raised

@@ -8,11 +8,11 @@ import numpy as np
 
 from ..numerics.alike import alike_vector
 from ..scene.camera import Camera
-from ..scene.camera_rays import pixel_size
 from ..scene.description import Medium, Volume
 from ..scene.settings import Settings
+from .detail import box_corners, smallest_pixel
 from .overlap import MANY
-from .plan import SortedScene, attenuates, box_corners, emits
+from .plan import SortedScene, attenuates, emits
 
 # Voxels of a joined volume at most, bytes of each while a picture is rendered, and fraction of the memory limit that
 # they may take.
@@ -64,9 +64,7 @@ def _joins(scene: SortedScene, members: list[int], camera: Camera, settings: Set
     corners = np.concatenate([box_corners(volume) for volume in volumes])
     low, high = corners.min(axis=0), corners.max(axis=0)
     finest = min(float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).min()) for volume in volumes)
-    eye = camera.world_matrix[:3, 3]
-    nearest = np.array([np.linalg.norm(np.clip(eye, low, high) - eye)])
-    wanted = max(PIXELS * float(pixel_size(camera, nearest)[0]), FINER * finest)
+    wanted = max(PIXELS * smallest_pixel(camera, settings, corners), FINER * finest)
     # In octaves, so that the voxels stay the same while the camera moves.
     edge = finest * 2.0 ** float(np.floor(np.log2(wanted / finest)))
     most = min(MOST_VOXELS, SHARE_OF_MEMORY * settings.memory_limit / VOXEL_BYTES)

@@ -38,20 +38,20 @@ IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
 RAY_FEATURE_BYTES = 2 * 4 * 7
 
 
-def grids_bytes(volumes: Sequence[tuple[Volume, bool]], suns: Sequence[Sun]) -> int:
+def grids_bytes(volumes: Sequence[tuple[Volume, bool]], suns: Sequence[Sun], coarser: Sequence[int]) -> int:
     """Bytes of the grids of volumes and of their optical depths towards the suns.
 
-    volumes: each with whether it emits light. Instances share their grids, and their depths where suns shine along the
-    same direction in their voxels.
+    volumes: each with whether it emits light. coarser: octaves by which voxels of its shadows are larger. Instances
+    share their grids, and their depths where suns shine along the same direction in their voxels.
     """
     grids = {volume.voxels_key: _voxel_bytes(volume, emits) for volume, emits in volumes}
     depths: dict[tuple, int] = {}
-    for volume, _ in volumes:
+    for (volume, _), octaves in zip(volumes, coarser):
         index_from_world = inverse(volume.world_from_index[:3, :3])
         for direction in [index_from_world @ sun.direction for sun in suns]:
-            key = volume.voxels_key, direction.tobytes()
+            key = volume.voxels_key, direction.tobytes(), octaves
             if key not in depths:
-                depths[key] = _depth_bytes(volume, direction)
+                depths[key] = _depth_bytes(volume, direction) >> 3 * octaves
     return sum(grids.values()) + sum(depths.values())
 
 
@@ -72,16 +72,21 @@ def _depth_bytes(volume: Volume, direction: np.ndarray) -> int:
     return volume.density.size * refinement(volume.density.shape) ** 3 * VOXEL_SUN_BYTES
 
 
-def field_bytes(groups: Sequence[Sequence[Volume]], lights: int, from_everywhere: bool) -> int:
-    """Bytes of what networks read in groups of volumes; lights: how many there are besides light from everywhere."""
+def field_bytes(groups: Sequence[Sequence[Volume]], coarser: Sequence[int], lights: int, from_everywhere: bool) -> int:
+    """Bytes of what networks read in groups of volumes.
+
+    coarser: octaves by which cells of a group's coarse transport are larger than usual. lights: how many there are
+    besides light from everywhere.
+    """
     shapes = {tuple(volume.voxels_key for volume in group) if len(group) == 1 else id(group) for group in groups}
     # Groups of several volumes are not compared.
     places = {
-        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()) if len(group) == 1 else id(group)
-        for group in groups
+        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()) if len(group) == 1 else id(group): octaves
+        for group, octaves in zip(groups, coarser)
     }
     environments = from_everywhere * ENVIRONMENT_BYTES * len(shapes)
-    further = max(len(shapes) - 1, 0) * FURTHER_BYTES + max(len(places) - 1, 0) * LIGHT_BYTES * max(lights, 1)
+    held = sorted((LIGHT_BYTES >> 3 * octaves for octaves in places.values()), reverse=True)
+    further = max(len(shapes) - 1, 0) * FURTHER_BYTES + sum(held[1:]) * max(lights, 1)
     return FIELD_BYTES + environments + further
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene needs: sorted, then decided once what surfaces hide is known."""
 
-import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from ..scene.mesh_light import MeshLight
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .coarser import fitting_volumes
+from .detail import box_corners, coarser_light, coarser_shadows
 from .joined_lamps import joined_lamps
 from .lights import (
     PredictedSun,
@@ -99,7 +99,9 @@ class Plan(SceneLights):
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. channels: groups of colour
     channels. groups: G groups of volumes, by number, each of which the network treats as one medium. multiple: (G,),
     whether a network predicts in a group. scattered_emission: (G,), whether a group scatters light that it emits.
-    optimizations: names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles:
+    coarser: (G,), octaves by which cells of a group's coarse transport are larger than usual. coarser_shadows: (V,),
+    octaves by which voxels of a volume's shadows are larger than its grid's. optimizations: names of those
+    in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles:
     windows (x0, y0, x1, y1) of the image, each of which one thread renders.
     """
 
@@ -108,6 +110,8 @@ class Plan(SceneLights):
     groups: list[list[int]]
     multiple: list[bool]
     scattered_emission: list[bool]
+    coarser: list[int]
+    coarser_shadows: list[int]
     optimizations: frozenset[str]
     memory: int
     tiles: list[tuple[int, int, int, int]]
@@ -181,13 +185,6 @@ def merge_parallel(suns: list[Sun]) -> list[Sun]:
         else:
             merged.append(replace(sun))
     return merged
-
-
-def box_corners(volume: Volume) -> np.ndarray:
-    """Corners (8, 3) of a volume's box in the world."""
-    ends = [(-0.5, n - 0.5) for n in volume.density.shape]
-    index = np.array(list(itertools.product(*ends)))
-    return index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
 
 
 def emits(volume: Volume, medium: Medium) -> bool:
@@ -304,6 +301,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
         for joined in predicted_suns(suns)
         if len(joined.parts) > 1
     ]
+    shared = "soft_shadows" in settings.optimizations
     predicts_lamps = settings.multiple and abilities(settings.model).every_light
     planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
@@ -323,7 +321,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
         environments=environments,
         lamps=lamps,
         lamp_clusters=clusters,
-        lamp_shares=lamp_shares(lamps, others, boxes),
+        lamp_shares=lamp_shares(lamps, others, boxes) if shared else np.ones(len(lamps)),
         predicts_lamps=predicts_lamps,
         reflects=reflects_light(without_lamps(surfaces, scene.glowing), settings, planned, left_out),
         sky=unhidden,
@@ -337,10 +335,12 @@ def plan_tiles(
 ) -> tuple[list[tuple[int, int, int, int]], int]:
     """Tiles of the camera's window, and the bytes that a render needs, estimated; suns: that are rendered."""
     rendered = scene.volumes
-    memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns)
+    shadows = [coarser_shadows(volume, camera, settings) for volume, _ in rendered]
+    memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns, shadows)
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
     groups = [[rendered[v][0] for v in group] for group in scene.groups]
-    memory += field_bytes(groups, len(suns) + len(lights.lamps), lights.from_everywhere)
+    coarser = [coarser_light(group, camera, settings) for group in groups]
+    memory += field_bytes(groups, coarser, len(suns) + len(lights.lamps), lights.from_everywhere)
     if lights.sky:
         # That of surfaces, and that which they hide in places.
         memory += 2 * SKY_BYTES
@@ -384,7 +384,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
     channels = _channel_groups(scene.volumes, settings)
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
-    multiple, scattered_emission = [], []
+    multiple, scattered_emission, coarser = [], [], []
     for group in scene.groups:
         members = [scene.volumes[v] for v in group]
         directed = [*bright, *(lights.lamps if lights.predicts_lamps else ())]
@@ -394,6 +394,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         predicted |= lights.from_everywhere and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
+        coarser.append(coarser_light([volume for volume, _ in members], camera, settings))
     tiles, memory = plan_tiles(scene, lights, suns, camera, settings)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
@@ -405,6 +406,8 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         groups=scene.groups,
         multiple=multiple,
         scattered_emission=scattered_emission,
+        coarser=coarser,
+        coarser_shadows=[coarser_shadows(volume, camera, settings) for volume, _ in scene.volumes],
         optimizations=settings.optimizations,
         memory=memory,
         tiles=tiles,

@@ -7,6 +7,8 @@ import numpy as np
 
 #: Cells along an edge of the working cube at level 0 of the density pyramid.
 LEVEL0_CELLS = 256
+#: Cells along an edge of the coarse transport.
+TRANSPORT_CELLS = 64
 #: Grids with fewer voxels along their longest edge are refined, to at most this many.
 FINE_EDGE = 128
 #: Rows and columns of the image per band. Pixels interpolate multiple scattering within a band of rows and one of

@@ -148,6 +148,12 @@ class Environment(Light):
             raise SceneError(f"{self.name}: world_from_environment must be orthonormal")
         self.world_from_environment = matrix
 
+    @functools.cached_property
+    def even(self) -> bool:
+        """Whether the same light comes from everywhere."""
+        everywhere = self.weight is None or isinstance(self.weight, PlaceLattice)
+        return everywhere and not np.ptp(self.radiance, axis=(0, 1)).any()
+
     def directions(self) -> np.ndarray:
         """Directions float64 (H, 2H, 3) in the world from which the light of the pixels arrives."""
         assert self.world_from_environment is not None

@@ -63,9 +63,14 @@ OPTIMIZATIONS = {
         "Join Small Voxels", "Light is baked in voxels half as large as a pixel where the volume's are smaller", 0.02
     ),
     "soft_shadows": Optimization(
-        "Average Soft Shadows", "The shadows of a lamp's parts are averaged once at voxels where rays are many", 0.02
+        "Average Soft Shadows",
+        "The shadows of a lamp's parts are averaged at voxels where rays are many; those of faint lamps are coarser",
+        0.02,
     ),
     "joined_volumes": Optimization("Join Overlapping Volumes", "Camera rays see one volume where many overlap", 0.03),
+    "level_of_detail": Optimization(
+        "Level of Detail", "The light of volumes that cover few pixels is computed on larger cells", 5e-3
+    ),
 }
 ALL = frozenset(OPTIMIZATIONS)
 # Optimizations that older files and command lines name, by number: nothing depends on them any more.

@@ -33,6 +33,8 @@ class Settings:
     directional: whether baked light is right from other directions than the camera's too.
     most_voxels: along the longest edge of a baked lattice, whose voxels are joined beyond; 0 for as many as there are.
     outputs: what the layer holds besides its colours, of OUTPUTS.
+    detail_width: pixels across the picture for which light is resolved, 0 for those of the camera: rough pictures of a
+        viewport share the light of the last one.
     blur_rays: rays per pixel that sample the lens, 2 to 256, where the camera has one.
     optimizations: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
@@ -52,6 +54,7 @@ class Settings:
     optimizations: frozenset[str] = ALL
     outputs: frozenset[str] = frozenset()
     blur_rays: int = 4
+    detail_width: int = 0
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -60,6 +63,7 @@ class Settings:
             ("threads", 0, 1024),
             ("seed", 0, 2**63 - 1),
             ("most voxels", 0, 2**31),
+            ("detail width", 0, 2**31),
         ):
             value = getattr(self, name.replace(" ", "_"))
             if not least <= value <= most or value != int(value):

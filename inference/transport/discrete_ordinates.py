@@ -30,6 +30,7 @@ from ..kernels.library import call
 from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
 from ..occluders.cell_boundaries import CellBoundaries
+from ..plan.resolution import TRANSPORT_CELLS
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import reduced_anisotropy
 from .diffusion import THIN, couple, solve
@@ -37,7 +38,7 @@ from .ordinate_sweeps import OrdinateSweeps
 from .ordinates import ORDINATE_WEIGHTS, ORDINATES
 
 #: Level of the density pyramid that has these cells, and its cells along an edge of the cube.
-LEVEL, CELLS = 2, 64
+LEVEL, CELLS = 2, TRANSPORT_CELLS
 # Cells along an edge from which on the light is first solved on cells twice as large.
 MULTILEVEL_CELLS = 64
 # At most so many sweeps, and so many after larger cells; they end when less than a fraction of the scattered light

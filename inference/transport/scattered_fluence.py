@@ -27,9 +27,9 @@ MIN_REDUCED_FRACTION = 0.05
 
 
 def fluence_lattice(light: np.ndarray, boundaries: CellBoundaries | None = None) -> np.ndarray:
-    """The logarithm of the fluence, and the flux over the fluence: float16 (66, 66, 66, 4).
+    """The logarithm of the fluence, and the flux over the fluence: float16 (n + 2, n + 2, n + 2, 4).
 
-    light: float32 (4, 64, 64, 64) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. The outermost cells
+    light: float32 (4, n, n, n) of `DiscreteOrdinates`. boundaries: its CellBoundaries, or None. The outermost cells
     are repeated once beyond each face.
     """
     fluence, flux = light[0], light[1:]
@@ -41,9 +41,9 @@ def fluence_lattice(light: np.ndarray, boundaries: CellBoundaries | None = None)
 
 
 def moment_lattice(moments: np.ndarray, boundaries: CellBoundaries | None = None) -> np.ndarray:
-    """Moments as they are, float32 (66, 66, 66, K), so that interpolation keeps their sum.
+    """Moments as they are, float32 (n + 2, n + 2, n + 2, K), so that interpolation keeps their sum.
 
-    moments: float32 (K, 64, 64, 64) of `DiscreteOrdinates.lamp`. boundaries: as in `fluence_lattice`.
+    moments: float32 (K, n, n, n) of `DiscreteOrdinates.lamp`. boundaries: as in `fluence_lattice`.
     """
     if boundaries is not None:
         moments = np.stack([boundaries.extrapolate_inside(values) for values in moments])
@@ -56,7 +56,7 @@ def moment_lattice(moments: np.ndarray, boundaries: CellBoundaries | None = None
 
 
 def fluence_and_flux(cells: np.ndarray) -> np.ndarray:
-    """Fluence and flux float16 (64, 64, 64, 4) of a `fluence_lattice`."""
+    """Fluence and flux float16 (n, n, n, 4) of a `fluence_lattice`."""
     light = cells[1:-1, 1:-1, 1:-1].astype(np.float32)
     light[..., 0] = np.exp(light[..., 0])
     light[..., 1:] *= light[..., :1]
@@ -89,7 +89,7 @@ class FluenceLattice:
 
     def index(self, positions: np.ndarray) -> np.ndarray:
         """Places float32 (3, N), in cells, of positions (N, 3) in the cube's frame."""
-        return ((positions.T + 0.5) * CELLS + 0.5).astype(np.float32)
+        return ((positions.T + 0.5) * (self._edge - 2) + 0.5).astype(np.float32)
 
     def read(self, positions: np.ndarray, omega: np.ndarray, sun: np.ndarray, anisotropy: float) -> np.ndarray:
         """Features float32 (N, 7).
@@ -100,11 +100,11 @@ class FluenceLattice:
         the ray and towards the sun.
         """
         out = np.empty((len(positions), COLUMNS), np.float32)
-        at, along = positions.T, np.ascontiguousarray(omega.T, np.float32)
-        index = ((at + 0.5) * CELLS + 0.5).astype(np.float32)
+        along = np.ascontiguousarray(omega.T, np.float32)
+        index = self.index(positions)
         here = _interpolate(self._cells, index, self._edge)
         out[:, 0] = here[:, 0]
-        step = np.float32(REACH * CELLS)
+        step = np.float32(REACH * (self._edge - 2))
         towards = np.broadcast_to(np.reshape(sun, (-1, 3)).T.astype(np.float32), along.shape)
         probes = np.concatenate([index + step * along, index - step * along, index + step * towards], axis=1)
         out[:, 1:PROBES] = _interpolate(self._logs, probes, self._edge).reshape(PROBES - 1, -1).T
@@ -135,7 +135,7 @@ class ScatteredFluence:
     """Scattered light of each sun in one volume, for lookups along camera rays.
 
     linear: (3, 3) and offset: (3,), indices from world positions. lights: `fluence_and_flux` of each sun, float32
-    (64, 64, 64, 4). anisotropy: G. scales: factor of each of them, or None for suns.
+    (n, n, n, 4). anisotropy: G. scales: factor of each of them, or None for suns.
     """
 
     linear: np.ndarray
@@ -149,11 +149,11 @@ class ScatteredFluence:
         cls, cube: Cube, lights: list[np.ndarray], anisotropy: float, scales: list[float] | None = None
     ) -> "ScatteredFluence":
         """From the solution in the working cube of a volume."""
-        return cls(*_placement(cube), lights, anisotropy, scales)
+        return cls(*_placement(cube, _edge(lights)), lights, anisotropy, scales)
 
     def placed(self, cube: Cube) -> "ScatteredFluence":
         """The same in another instance of the volume."""
-        linear, offset = _placement(cube)
+        linear, offset = _placement(cube, _edge(self.lights))
         return replace(self, linear=linear, offset=offset)
 
     def of_parts(self, numbers: Sequence[int]) -> "ScatteredFluence":
@@ -180,11 +180,17 @@ class ScatteredFluence:
 
     def cells(self, index: np.ndarray) -> np.ndarray:
         """Flat cell numbers (N,) in the lights, at indices float32 (3, N)."""
-        x, y, z = np.clip(index, np.float32(0.0), np.float32(CELLS - 1)).astype(np.int32)
-        return (x * np.intp(CELLS) + y) * np.intp(CELLS) + z
+        n = _edge(self.lights)
+        x, y, z = np.clip(index, np.float32(0.0), np.float32(n - 1)).astype(np.int32)
+        return (x * np.intp(n) + y) * np.intp(n) + z
 
 
-def _placement(cube: Cube) -> tuple[np.ndarray, np.ndarray]:
-    """linear (3, 3) and offset (3,) of the cells of a cube."""
-    linear = cube.rotation.T * (CELLS / cube.edge)
-    return linear, 0.5 * CELLS - linear @ cube.centre
+def _edge(lights: Sequence[np.ndarray]) -> int:
+    """Cells along an edge of the lights."""
+    return len(lights[0]) if lights else CELLS
+
+
+def _placement(cube: Cube, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """linear (3, 3) and offset (3,) of the cells of a cube, so many along its edge."""
+    linear = cube.rotation.T * (cells / cube.edge)
+    return linear, 0.5 * cells - linear @ cube.centre

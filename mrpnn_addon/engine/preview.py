@@ -45,7 +45,7 @@ class Step:
 
 def steps(description: SceneDescription, camera: Camera, settings: Settings, prepared: Prepared) -> list[Step]:
     """Pictures from coarse to fine. What the first one needs is cached or quick to compute."""
-    coarse = replace(settings, depth_samples=1, light_paths=False)
+    coarse = replace(settings, depth_samples=1, light_paths=False, detail_width=camera.resolution[0])
     rough, finer = (_size(camera.resolution, pixels) for pixels in (ROUGH_PIXELS, FINER_PIXELS))
     every = description.lights
     last = [Step(finer, every, coarse), Step(camera.resolution, every, settings)]

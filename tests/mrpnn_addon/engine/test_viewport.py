@@ -99,12 +99,18 @@ def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     layer = render(description.volumes, description.suns, turned, settings)
     np.testing.assert_array_equal(second[2][::-1, :, :3], layer.rgb)
     rough = render(
-        description.volumes, description.suns, replace(turned, resolution=(53, 40)), Settings(depth_samples=1)
+        description.volumes,
+        description.suns,
+        replace(turned, resolution=(53, 40)),
+        Settings(depth_samples=1, detail_width=turned.resolution[0]),
     )
     np.testing.assert_array_equal(second[1][::-1, :, :3], rough.rgb)
     # In large regions there is a picture in between.
     wide = replace(turned, resolution=(1920, 1080))
-    sizes = [step.size for step in addon.mrpnn_addon.engine.preview.steps(description, wide, settings, shared)]
+    found = addon.mrpnn_addon.engine.preview.steps(description, wide, settings, shared)
+    # Rough pictures share the light of the last one, which is resolved for its pixels.
+    assert {step.settings.detail_width or step.size[0] for step in found} == {1920}
+    sizes = [step.size for step in found]
     assert len(sizes) == 3 and sizes == sorted(sizes) and sizes[-1] == (1920, 1080)
 
 

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How finely light is resolved in volumes that cover few pixels."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..models.abilities import abilities
+from ..scene.camera import Camera
+from ..scene.camera_rays import pixel_size
+from ..scene.description import Volume
+from ..scene.settings import Settings
+from ..scene.sparse_grid import SparseGrid
+from .resolution import TRANSPORT_CELLS, refinement
+
+#: Largest edges in pixels of larger cells of the coarse transport, and of larger voxels of shadows; and by how many
+#: octaves they may be larger.
+CELL_PIXELS, MOST_COARSER = 1.25, 2
+VOXEL_PIXELS, MOST_COARSER_VOXELS = 0.5, 4
+
+
+def box_corners(volume: Volume) -> np.ndarray:
+    """Corners (8, 3) of a volume's box in the world."""
+    ends = [(-0.5, n - 0.5) for n in volume.density.shape]
+    index = np.array(list(itertools.product(*ends)))
+    return index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
+
+
+def smallest_pixel(camera: Camera, settings: Settings, corners: np.ndarray) -> float:
+    """Width of a pixel, in world units, where the box around world corners (N, 3) is nearest; 0 from inside of it."""
+    eye, width = camera.world_matrix[:3, 3], settings.detail_width or camera.resolution[0]
+    nearest = np.linalg.norm(np.clip(eye, corners.min(axis=0), corners.max(axis=0)) - eye)
+    return float(pixel_size(camera, np.array([nearest]))[0]) * camera.resolution[0] / width
+
+
+def coarser_light(members: Sequence[Volume], camera: Camera, settings: Settings) -> int:
+    """Octaves by which cells of the coarse transport are larger than usual in volumes that become one medium."""
+    if "level_of_detail" not in settings.optimizations or not abilities(settings.model).every_light:
+        return 0
+    corners = np.concatenate([box_corners(volume) for volume in members])
+    edge = max(_edges(members[0])) if len(members) == 1 else float(np.ptp(corners, axis=0).max())
+    return _octaves(CELL_PIXELS * smallest_pixel(camera, settings, corners) * TRANSPORT_CELLS / edge, MOST_COARSER)
+
+
+def coarser_shadows(volume: Volume, camera: Camera, settings: Settings) -> int:
+    """Octaves by which voxels of a volume's shadows are larger than those of its grid."""
+    if "level_of_detail" not in settings.optimizations:
+        return 0
+    shape = volume.density.shape
+    finer = 1 if isinstance(volume.density, SparseGrid) else refinement(shape)
+    voxel = min(edge / n for edge, n in zip(_edges(volume), shape)) / finer
+    pixel = smallest_pixel(camera, settings, box_corners(volume))
+    return _octaves(VOXEL_PIXELS * pixel / voxel, MOST_COARSER_VOXELS)
+
+
+def without_detail(settings: Settings) -> Settings:
+    """Settings for where no picture tells how many pixels a volume covers."""
+    return replace(settings, optimizations=settings.optimizations - {"level_of_detail"})
+
+
+def _edges(volume: Volume) -> list[float]:
+    """Of a volume's box, in world units."""
+    return (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * volume.density.shape).tolist()
+
+
+def _octaves(times: float, most: int) -> int:
+    """Whole octaves in a factor, from 0 to `most`."""
+    return int(np.clip(np.floor(np.log2(max(times, 1.0))), 0, most))

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Levels of detail: light on larger cells in volumes that cover few pixels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference import Environment, Medium, Settings, Sun, Volume, render
+from inference.features.density_reader import SHARED_RANGE, DensityReader
+from inference.features.mip_lattices import density_lattices
+from inference.grids.grid import Grid
+from inference.grids.working_cube import fit_cube
+from inference.network.network import load_network
+from inference.numerics.interpolation import halved_means
+from inference.plan.detail import MOST_COARSER, coarser_light, coarser_shadows
+from inference.plan.plan import make_plan
+from inference.runtime.tasks import SERIAL
+from inference.scene.sparse_grid import SparseGrid
+from tests.support.volumes import SUN, camera, cloud
+
+CLOUD = cloud(voxels=60)
+MEDIUM = Medium(30.0, 0.95, 0.6)
+SETTINGS = Settings()
+WHOLE = replace(SETTINGS, optimizations=SETTINGS.optimizations - {"level_of_detail"})
+LIGHTS = [SUN, Environment(np.full((1, 2, 3), 0.3))]
+
+
+def change(found, expected):
+    """Root mean square difference over that of the expected picture."""
+    return float(np.sqrt(np.mean((found.rgb - expected.rgb) ** 2) / np.mean(expected.rgb**2)))
+
+
+def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
+    distances = np.geomspace(0.1, 1e3, 60)
+    views = [camera(distance, resolution=(200, 120)) for distance in distances]
+    light = [coarser_light([CLOUD], view, SETTINGS) for view in views]
+    assert light == sorted(light) and light[0] == 0 and light[-1] == MOST_COARSER
+    shadows = [coarser_shadows(CLOUD, view, SETTINGS) for view in views]
+    assert shadows == sorted(shadows) and shadows[0] == 0 and shadows[-1] > 0
+    assert not any(coarser_light([CLOUD], view, WHOLE) or coarser_shadows(CLOUD, view, WHOLE) for view in views)
+    # A network that knows suns alone has cells of its own.
+    assert coarser_light([CLOUD], views[-1], replace(SETTINGS, model="paper")) == 0
+
+
+@pytest.mark.parametrize("distance", [8.0, 14.0, 30.0])
+def test_pictures_hardly_change(distance):
+    turned = [volume_at(place, angle) for place, angle in ((-0.7, 0.3), (0.7, 1.9))]
+    pairs, view = [(volume, MEDIUM) for volume in turned], camera(distance, resolution=(96, 64))
+    plan = make_plan(pairs, LIGHTS, view, SETTINGS)
+    found, expected = (render(pairs, LIGHTS, view, settings) for settings in (SETTINGS, WHOLE))
+    assert sum(plan.coarser) > 0
+    assert 0.0 < change(found, expected) < 5e-3
+
+
+def volume_at(place, angle):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]
+    matrix[0, 3] = place
+    return CLOUD.instance(matrix @ CLOUD.world_from_index, f"cloud at {place}")
+
+
+def test_larger_voxels_of_shadows_lie_where_the_grid_does():
+    """Shadows of a density that is linear in space are the same in voxels of any size."""
+    ramp = np.broadcast_to(np.arange(1.0, 65.0, dtype=np.float32)[:, None, None], (64, 64, 64)).copy()
+    volume = Volume(ramp, np.diag([1 / 64, 1 / 64, 1 / 64, 1.0]), "ramp")
+    grid, towards = Grid(volume), [np.array([0.0, 0.0, 1.0])]
+    index = np.random.default_rng(0).uniform(12.0, 50.0, (3, 500)).astype(np.float32)
+    [own] = grid.sun_depths(towards)
+    for octaves in (1, 2, 3):
+        [larger] = grid.sun_depths(towards, octaves)
+        np.testing.assert_allclose(larger(index, 0.05), own(index, 0.05), rtol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_half_a_sparse_grid_equals_half_the_dense_one(seed):
+    rng = np.random.default_rng(seed)
+    dense = np.zeros(rng.integers(20, 50, 3), np.float32)
+    for place in rng.random((6, 3)):
+        middle = (place * dense.shape).astype(int)
+        dense[tuple(slice(max(at - 3, 0), at + 4) for at in middle)] = rng.random()
+    grid = SparseGrid.of_dense(dense)
+    low, high = grid.bounds()
+    cropped, expected = grid.crop(low, high), halved_means(dense[tuple(map(slice, low, high))])
+    for _ in range(2):
+        cropped = cropped.halved()
+        np.testing.assert_allclose(cropped.dense(), expected, atol=1e-6)
+        expected = halved_means(expected)
+    # Those that kernels read stay within the blocks.
+    assert np.all(cropped.first >= 1) and np.all(cropped.first + cropped.shape + 1 < 8 * np.array(cropped.table.shape))
+
+
+def test_instances_of_several_sizes_share_lattices():
+    stencil = load_network("mrpnn").points
+    reader = DensityReader(CLOUD, fit_cube(CLOUD), stencil)
+    reader.many = True
+    thick, thin = (reader.lattices(sigma_hat, SERIAL) for sigma_hat in (10.0, 10.0 / SHARED_RANGE * 2.0))
+    assert thick.values is thin.values
+    for lattices, sigma_hat in ((thick, 10.0), (thin, 10.0 / SHARED_RANGE * 2.0)):
+        own = density_lattices(reader.padded, sigma_hat, stencil, reader.extent)
+        index = np.random.default_rng(0).integers(0, own.values.size, (500, 4))
+        read = np.empty((2, 500, 4), np.float32)
+        lattices.read(index, read[0])
+        own.read(index, read[1])
+        np.testing.assert_allclose(read[0], read[1], atol=2.0 * float(lattices.step))
+        assert read[1].max() > 0.0
+
+
+def test_a_hundred_instances_of_all_sizes_need_little_memory():
+    rng = np.random.default_rng(0)
+    pairs = []
+    for number in range(100):
+        volume = volume_at(2.0 * number - 100.0, rng.uniform(0.0, 6.0))
+        scaled = volume.world_from_index @ np.diag([*[rng.uniform(0.5, 1.0)] * 3, 1.0])
+        pairs.append((CLOUD.instance(scaled, f"cloud {number}"), MEDIUM))
+    plan = make_plan(pairs, [Sun((0.4, 0.3, 0.8), 2.0)], camera(150.0, resolution=(320, 180)), SETTINGS)
+    assert plan.memory < 1.5 * 2**30
