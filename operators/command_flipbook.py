@@ -62,8 +62,8 @@ def render_flipbook(options: argparse.Namespace, settings: Settings, console: Co
         book = begin_flipbook(scene, frames, automatic=not options.frames)
     told: list[str] = []
     found["frames"] = []
-    # Two, so that a frame without a volume is an empty tile. Games blend tiles, which are sharp.
-    read = frame_reader(options, [*book.frames, *book.frames], motion=False)
+    # Two, so that a frame without a volume is an empty tile.
+    read = frame_reader(options, [*book.frames, *book.frames], flipbook=True)
     for frame in book.frames:
         book.render(seen(book, read(frame)), settings, console.progress(frame))
         warnings = book.warnings[len(told) :]

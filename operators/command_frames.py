@@ -51,11 +51,11 @@ def require_none(failed: dict[int, str], frames: list[int]) -> None:
 
 
 def frame_reader(
-    options: argparse.Namespace, frames: list[int], motion: bool = True
+    options: argparse.Namespace, frames: list[int], flipbook: bool = False
 ) -> Callable[[int], SceneDescription]:
     """A function that reads a frame of the scene. Several frames are an animation, which goes on without volumes.
 
-    motion: whether to read what moves while the shutter is open.
+    flipbook: whether for tiles, which games blend: sharp ones, with what moves until the next frame.
     """
 
     def read(frame: int) -> SceneDescription:
@@ -63,7 +63,8 @@ def frame_reader(
         go_to = goes_to(bpy.context.scene)
         go_to(frame, 0.0)
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        description = read_frame(depsgraph, goes_on=len(frames) > 1, go_to=go_to if motion else None)
+        blur = None if flipbook else go_to
+        description = read_frame(depsgraph, goes_on=len(frames) > 1, go_to=blur, flows=flipbook)
         if options.strict:
             require_all(description)
         return description

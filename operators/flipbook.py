@@ -99,7 +99,7 @@ class MRPNN_OT_flipbook(RunsWorkers, bpy.types.Operator):
                 book = begin_flipbook(scene, scene_frames(scene))
                 for frame in book.frames:
                     scene.frame_set(frame)
-                    description = read_frame(context.evaluated_depsgraph_get(), goes_on=True)
+                    description = read_frame(context.evaluated_depsgraph_get(), goes_on=True, flows=True)
                     book.render(seen(book, description), scene_settings(scene).settings())
             self._flipbook, self._paths = book, book.write()
         except (SceneError, OSError) as error:
@@ -127,10 +127,11 @@ class MRPNN_OT_flipbook(RunsWorkers, bpy.types.Operator):
         if self._loading is None or self._loading.outdated(context):
             # The artist may have gone to another frame meanwhile.
             scene.frame_set(book.frames[len(book.tiles)])
-            self._loading = SceneLoading(context)
+            self._loading = SceneLoading(context, flows=True)
             if self._loading.worker is not None:
                 return self._loading.worker
-        description = read_frame(context.evaluated_depsgraph_get(), self._loading.reader, goes_on=True)
+        depsgraph = context.evaluated_depsgraph_get()
+        description = read_frame(depsgraph, self._loading.reader, goes_on=True, flows=True)
         self._loading = None
         return TileJob(book, seen(book, description), scene_settings(scene).settings())
 

@@ -14,15 +14,15 @@ TICK_INTERVAL = 0.1
 
 
 class SceneLoading:
-    """Reads the volumes of a context's scene.
+    """Reads the volumes of a context's scene. flows: as of `VolumeReader.wanted`.
 
     worker: the VolumeLoading, or None where nothing needs reading. reader: has the volumes in the end.
     """
 
-    def __init__(self, context: "bpy.types.Context") -> None:
+    def __init__(self, context: "bpy.types.Context", flows: bool = False) -> None:
         depsgraph = context.evaluated_depsgraph_get()
         self.reader = VolumeReader()
-        sources, self._state = self.reader.wanted(depsgraph), scene_state(context.scene)
+        sources, self._state = self.reader.wanted(depsgraph, flows=flows), scene_state(context.scene)
         self.worker = VolumeLoading(self.reader, sources) if sources else None
 
     def outdated(self, context: "bpy.types.Context") -> bool:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Processor seconds and memory of many instances of one cloud beside those of a single volume.
 
-    python -m benchmarks.cost.sky [--counts 1 40 200 1000] [--voxels 156] [--size 480x270] [--turned]
+    python -m benchmarks.cost.sky [--counts 1 40 200 1000] [--voxels 156] [--size 480x270] [--turned] [--whole]
 
 Renders so many instances of a procedural cloud, spread over a plane and lit by a sun and a grey World, each in a new
 process, and prints their processor seconds by stage, and both beside those of one instance that fills the picture.
-Instances share their size; with --turned each is turned about the vertical by an angle of its own. Linux only.
+With --turned each is turned about the vertical by an angle of its own, and smaller by up to a third. With --whole the
+same is rendered without levels of detail: seconds beside those, and the root mean square difference over that of the
+picture. Linux only.
 """
 
 import argparse
@@ -47,7 +49,7 @@ def instances(count: int, voxels: int, turned: bool) -> list[tuple[Volume, Mediu
         matrix[:3, :3] = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) * (edge / voxels)
         place = (np.array([column, row, 0.5 * across]) + 0.5) / across - 0.5
         # A turned cube reaches further.
-        matrix[:3, :3] *= 0.7 if turned else 1.0
+        matrix[:3, :3] *= 0.7 * rng.uniform(0.67, 1.0) if turned else 1.0
         matrix[:3, 3] = place * [1.0, 1.0, 0.0] - matrix[:3, :3] @ np.full(3, 0.5 * (voxels - 1))
         pairs.append((Volume(density, matrix, f"cloud {number}"), medium))
     return pairs
@@ -72,7 +74,13 @@ def measure(arguments: argparse.Namespace) -> dict:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     view.world_matrix[0, 3] += 0.01
     second = render(volumes, lights, view, Settings(), cache=cache)
-    return {
+    whole = {}
+    if arguments.whole:
+        settings = Settings(optimizations=Settings().optimizations - {"level_of_detail"}, memory_limit=1 << 40)
+        expected = render(volumes, lights, view, settings)
+        error = np.sqrt(np.mean((second.rgb - expected.rgb) ** 2) / np.mean(expected.rgb**2))
+        whole = {"whole": expected.report.cpu_seconds["total"], "error": float(error)}
+    return whole | {
         "covered": float((first.alpha > 0.02).mean()),
         "first": first.report.cpu_seconds,
         "next": second.report.cpu_seconds,
@@ -87,18 +95,21 @@ def main():
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 40, 200, 1000])
     parser.add_argument("--voxels", type=int, default=156)
     parser.add_argument("--size", default="480x270")
-    parser.add_argument("--turned", action="store_true", help="each instance has an angle of its own")
+    parser.add_argument("--turned", action="store_true", help="each instance has an angle and a size of its own")
+    parser.add_argument("--whole", action="store_true", help="also without levels of detail")
     parser.add_argument("--measure", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.measure:
         print(json.dumps(measure(arguments)), flush=True)
         return
-    print(f"| instances | covered | {' | '.join(STAGES)} | next frame | MiB | seconds, memory over one |")
-    print("|" + "---|" * (len(STAGES) + 5))
+    more = ("without levels of detail", "error") if arguments.whole else ()
+    print(f"| instances | covered | {' | '.join((*STAGES, 'next frame', 'MiB', 'seconds, memory over one', *more))} |")
+    print("|" + "---|" * (len(STAGES) + 5 + len(more)))
     one = None
     for count in arguments.counts:
         command = [sys.executable, "-m", PROGRAM, "--measure", "--counts", str(count)]
         command += ["--voxels", str(arguments.voxels), "--size", arguments.size, *["--turned"] * arguments.turned]
+        command += ["--whole"] * arguments.whole
         output = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
         found = json.loads(output.splitlines()[-1])
         one = one or found
@@ -106,7 +117,8 @@ def main():
         ratios = found["first"]["total"] / one["first"]["total"], found["memory"] / one["memory"]
         print(
             f"| {count} | {found['covered']:.0%} | {' | '.join(seconds)} | {found['next']['total']:.1f} | "
-            f"{found['memory']:.0f} | {ratios[0]:.1f}, {ratios[1]:.1f} |",
+            f"{found['memory']:.0f} | {ratios[0]:.1f}, {ratios[1]:.1f} |"
+            + (f" {found['whole']:.1f} | {found['error']:.4f} |" if arguments.whole else ""),
             flush=True,
         )
     print(f"\n{made_by(PROGRAM)}")

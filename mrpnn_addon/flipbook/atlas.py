@@ -74,19 +74,22 @@ class Atlas:
 class Textures:
     """images: by what the file's name ends in, float32 (H, W, 4). scale: by which light maps are multiplied.
     emission_scale: by which the radiance of the emission is divided. clipped: share of the light maps' texels above 1.
+    motion_scale: the largest component of motion vectors, in widths of a tile.
     """
 
     images: dict[str, np.ndarray]
     scale: float
     emission_scale: float
     clipped: float
+    motion_scale: float
 
 
 def textures(atlas: Atlas, tiles: Sequence[Tile | None]) -> Textures:
     """The textures of a flipbook; None leaves a tile empty.
 
     "A" holds three light maps and alpha, "B" three light maps and the luminance of the emission. "emission" holds its
-    colour, where there is any.
+    colour, and "motion" the motion vectors, where there are any: 0.5 is none, 0 and 1 the largest to the left and
+    right, and down and up.
     """
     shown = [tile for tile in tiles if tile is not None]
     brightest = max((float(tile.maps.max()) for tile in shown), default=0.0)
@@ -109,7 +112,13 @@ def textures(atlas: Atlas, tiles: Sequence[Tile | None]) -> Textures:
         images[name] = np.concatenate([maps, last], axis=2)
     if glow > 0.0:
         images["emission"] = np.concatenate([emission, np.ones_like(alpha)], axis=2)
-    return Textures(images, scale, glow or 1.0, clipped)
+    motions = [None if tile is None or tile.motion is None else tile.motion / atlas.tile for tile in tiles]
+    fastest = max((float(np.abs(motion).max()) for motion in motions if motion is not None), default=0.0)
+    if fastest > 0.0:
+        # Beyond the smoke, where textures are filtered, it moves on.
+        moved = straight_colours(atlas.place(motions, 2) * alpha, alpha) / np.float32(fastest)
+        images["motion"] = np.concatenate([0.5 + 0.5 * moved, np.zeros_like(alpha), np.ones_like(alpha)], axis=2)
+    return Textures(images, scale, glow or 1.0, clipped, fastest)
 
 
 def straight_colours(values: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -60,12 +60,17 @@ class Flipbook:
         tile = None
         if scene.volumes:
             try:
-                tile = render_tile(scene, settings, self.angle, progress, cancelled)
+                tile = render_tile(scene, settings, self.angle, self._until_next(scene.frame), progress, cancelled)
             except SceneError as problem:
                 self.warn(f"frame {scene.frame} is an empty tile: {problem}")
         elif not any(text.startswith(f"frame {scene.frame} ") for text in self.warnings):
             self.warn(f"frame {scene.frame} is an empty tile: it shows no volume")
         self.tiles[scene.frame] = tile
+
+    def _until_next(self, frame: int) -> int:
+        """Frames from a tile to the next one; after the last as before it."""
+        place = min(self.frames.index(frame), max(len(self.frames) - 2, 0))
+        return self.frames[place + 1] - self.frames[place] if len(self.frames) > 1 else 1
 
     def write(self, check: Callable[[], None] = lambda: None) -> list[str]:
         """Write the textures and what an engine has to know of them; returns the paths.
@@ -106,6 +111,7 @@ class Flipbook:
             "light_angle": self.angle,
             "light_scale": made.scale,
             "emission_scale": made.emission_scale,
+            "motion_scale": made.motion_scale,
         }
 
 

@@ -12,6 +12,7 @@ from ...inference.scene import Medium, SceneError, Settings, Sun, Volume, soft_s
 from ...inference.scene.environment import LUMA
 from ...inference.scene.sparse_grid import SparseGrid
 from ..scene.reader import SceneDescription
+from .motion_vectors import motion_vectors
 
 #: The sides from which the suns shine, in the order of `Tile.maps`, and the directions towards them in the camera's
 #: axes: it looks along -Z, which is where the back is.
@@ -34,24 +35,28 @@ class Tile:
     """One frame, rows from the top, premultiplied by alpha.
 
     maps: float32 (H, W, 6), radiance for a sun from each of SIDES, over that of a white matte surface which faces it.
-    alpha: float32 (H, W). emission: float32 (H, W, 3), radiance of light that the volumes emit.
+    alpha: float32 (H, W). emission: float32 (H, W, 3), radiance of light that the volumes emit. motion: of
+    `motion_vectors` until the next tile, or None.
     """
 
     maps: np.ndarray
     alpha: np.ndarray
     emission: np.ndarray
+    motion: np.ndarray | None = None
 
 
 def render_tile(
     scene: SceneDescription,
     settings: Settings,
     angle: float = 0.0,
+    frames: int = 1,
     progress: Callable[[float, str], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Tile:
     """The light maps of a scene as its camera sees it, whose own lights are left out.
 
     angle: angular diameter of the suns, radians. What six maps cannot tell, light between the sides, is then smoother.
+    frames: until the next tile.
 
     Three suns share a render: a sun that shines in one colour channel only is alone in this channel of the picture,
     because the media are made grey. Raises SceneError, and Cancelled when `cancelled()` returns True.
@@ -63,11 +68,13 @@ def render_tile(
     volumes = [(without_emission(volume), grey(medium)) for volume, medium in scene.volumes]
     glows = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in scene.volumes)
     cache, parts = inference.RenderCache(), 2 + glows
+    flows = any(volume.velocity is not None for volume, _ in scene.volumes)
+    told = replace(settings, outputs=settings.outputs | {"median"}) if flows else settings
     towards = np.array(list(SIDES.values())) @ camera.world_matrix[:3, :3].T
 
     def render(number: int, lights: list, of: list[tuple[Volume, Medium]]) -> Layer:
         tell = (lambda fraction, message: progress((number + fraction) / parts, message)) if progress else None
-        return inference.render(of, lights, camera, settings, tell, cancelled, cache, surfaces)
+        return inference.render(of, lights, camera, told if number == 0 else settings, tell, cancelled, cache, surfaces)
 
     def suns(number: int) -> Iterator[Sun]:
         for channel in range(3):
@@ -80,7 +87,10 @@ def render_tile(
         emission = render(2, [], scene.volumes).rgb if glows else np.zeros_like(maps[..., :3])
     except MemoryError:
         raise SceneError("not enough memory for this frame; use a smaller texture, or smaller grids") from None
-    return Tile(maps, lit[0].alpha, emission)
+    distance, motion = lit[0].median, None
+    if distance is not None:
+        motion = motion_vectors(camera, distance, scene.volumes, frames)
+    return Tile(maps, lit[0].alpha, emission, motion)
 
 
 def without_emission(volume: Volume) -> Volume:

@@ -132,6 +132,12 @@ def velocity_times(scene: "bpy.types.Scene", scale: float, per_second: bool) -> 
     return factor * opens, factor * (opens + 1.0)
 
 
+def until_next_frame(scene: "bpy.types.Scene", scale: float, per_second: bool) -> tuple[float, float]:
+    """Times since the frame of this one and of the next, as velocities are multiplied with them."""
+    render: Any = scene.render
+    return 0.0, scale * (render.fps_base / render.fps if per_second else 1.0)
+
+
 def _position(render: Any, scene: Any) -> str:
     """Where the shutter lies about the frame; Cycles' own setting where the scene has none."""
     return getattr(render, "motion_blur_position", None) or scene.cycles.motion_blur_position

@@ -140,6 +140,7 @@ def read_frame(
     check: Callable[[], None] = lambda: None,
     goes_on: bool = False,
     go_to: GoTo | None = None,
+    flows: bool = False,
 ) -> SceneDescription:
     """Read everything that a picture needs; bpy is not needed afterwards.
 
@@ -149,7 +150,8 @@ def read_frame(
     reader: has read volumes of this scene that have not changed since. check: called before each object; an exception
     that it raises stops the reading. goes_on: whether a frame without a volume is a picture for whatever reason, as in
     animations; in a still it is one where volumes change in time. go_to: goes to frames at which the scene is looked at
-    for motion blur, and back; None for a picture without it.
+    for motion blur, and back; None for a picture without it. flows: whether to read the velocities that carry what
+    volumes hold until the next frame, in such a picture.
 
     Raises SceneError, with a remedy, where the scene cannot be rendered: for its camera, or in a still where no volume
     is left.
@@ -169,6 +171,8 @@ def read_frame(
         description.warnings += _refused(description, problem)
     if go_to is not None:
         _add_motion(description, depsgraph, reader or VolumeReader(), go_to, check)
+    elif flows:
+        _add_velocities(description, depsgraph, reader or VolumeReader(), check, blurred=False)
     panorama = camera.projection == "equirectangular"
     description.warnings += surface_warnings(description.opaque, panorama, composited(depsgraph.scene))
     if not description.volumes:
@@ -206,16 +210,23 @@ def _add_motion(
 
 
 def _add_velocities(
-    description: SceneDescription, depsgraph: "bpy.types.Depsgraph", reader: VolumeReader, check: Callable[[], None]
+    description: SceneDescription,
+    depsgraph: "bpy.types.Depsgraph",
+    reader: VolumeReader,
+    check: Callable[[], None],
+    blurred: bool = True,
 ) -> bool:
-    """Add the velocities of volumes; returns whether there are any. A volume whose cannot be read has a warning."""
+    """Add the velocities of volumes; returns whether there are any. A volume whose cannot be read has a warning.
+
+    blurred: as of `VolumeReader.velocity`.
+    """
     found, rendered = {}, {key for key, _ in description.placed}
     for shown in visible_objects(depsgraph):
         if shown.key not in rendered or not carries(shown):
             continue
         check()
         try:
-            found[shown.key] = reader.velocity(shown, depsgraph.scene)
+            found[shown.key] = reader.velocity(shown, depsgraph.scene, blurred)
         except SceneError as problem:
             description.warnings += [f"{problem} (its velocity is left out)"]
     for (volume, _), (key, _) in zip(description.volumes, description.placed):

@@ -16,8 +16,8 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
         default="//flipbook",
         subtype="FILE_PATH",
         options=RELATIVE_PATH,
-        description="Beginning of the files' names. The textures are called _A and _B, and _emission where something "
-        "glows",
+        description="Beginning of the files' names. The textures are called _A and _B, _emission where something "
+        "glows, and _motion where volumes have velocities",
     )
     file_format: EnumProperty(
         name="Format",

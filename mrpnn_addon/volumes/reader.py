@@ -23,7 +23,7 @@ from ..nodes.material import (
 )
 from ..nodes.object_attributes import object_values
 from ..objects.mesh_triangles import Mesh, read_mesh, require_finite
-from ..objects.motion import motion_steps, uses_motion_blur, velocity_times
+from ..objects.motion import motion_steps, until_next_frame, uses_motion_blur, velocity_times
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
 from ..runtime.text import text_of
@@ -94,10 +94,11 @@ class VolumeReader:
         ]
         return pairs, warnings + [f"{where}: {note}" for note in shaded.notes]
 
-    def velocity(self, shown: VisibleObject, scene: "bpy.types.Scene") -> Velocity | None:
-        """The velocities by which motion blur in a scene carries what a visible volume holds; None without any.
+    def velocity(self, shown: VisibleObject, scene: "bpy.types.Scene", blurred: bool = True) -> Velocity | None:
+        """The velocities that carry what a visible volume holds; None without any.
 
-        Raises SceneError, naming the object, where its file cannot be used.
+        blurred: whether while the shutter is open, as in motion blur; otherwise until the next frame. Raises
+        SceneError, naming the object, where its file cannot be used.
         """
         scale, per_second = _velocity_scale(shown)
         if not scale:
@@ -110,19 +111,19 @@ class VolumeReader:
         if known is None:
             return None
         components, object_from_index = known
-        times = velocity_times(scene, scale, per_second)
+        times = (velocity_times if blurred else until_next_frame)(scene, scale, per_second)
         return Velocity(components, shown.matrix @ object_from_index, shown.matrix[:3, :3], times)
 
     def wanted(
-        self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D | None" = None
+        self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D | None" = None, flows: bool = False
     ) -> list[VolumeSource | VelocitySource | WorldSource]:
         """Sources of the scene that are not read yet, including a World that Cycles has to render: for a
         `VolumeLoading`.
 
-        space: as of `visible_objects`.
+        space: as of `visible_objects`. flows: whether velocities are wanted without motion blur, too.
         """
         found: dict[tuple, VolumeSource | VelocitySource] = {}
-        blurred = space is None and uses_motion_blur(depsgraph)
+        blurred = flows or (space is None and uses_motion_blur(depsgraph))
         for shown in visible_objects(depsgraph, space):
             if self._is_wanted(shown, depsgraph.view_layer):
                 found.update((source.key, source) for source in self._source(shown))

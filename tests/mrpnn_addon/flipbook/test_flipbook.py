@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 bpy = pytest.importorskip("bpy")
 
@@ -248,3 +249,33 @@ def test_sliders_relight_the_flipbook_on_its_plane(addon, scene, smoke, tmp_path
         bpy.data.objects.remove(plane)
         for shown in scene.objects:
             shown.hide_render = False
+
+
+def test_motion_vectors_lead_from_each_tile_to_the_next(addon, scene, smoke, tmp_path):
+    """Smoke that drifts by whole voxels: the second tile, warped back, is the first one."""
+    drift, frame = np.array([2.0, 0.0, 1.0]), blender_scenes.centred(16, 2.0)
+    small = np.zeros((16, 16, 16), np.float32)
+    small[2:10, 4:12, 3:11] = blender_scenes.blob(8)
+    velocity = np.broadcast_to((drift * 2.0 / 16)[:, None, None, None], (3, 16, 16, 16))
+    for number in range(3):
+        density = np.roll(small, (drift * number).astype(int), (0, 1, 2))
+        path = blender_scenes.write_vdb(tmp_path, density, frame)
+        shutil.move(blender_scenes.with_velocity(tmp_path, path, velocity, frame), tmp_path / f"fog_{number + 1}.vdb")
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    scene = bpy.context.scene
+    [cloud] = (shown for shown in scene.objects if shown.type == "VOLUME")
+    # As a velocity per second.
+    cloud.data.velocity_unit, cloud.data.velocity_scale = "SECOND", 24.0
+    flipbook()
+    facts = json.loads((tmp_path / "out" / "smoke.json").read_text())
+    alpha = read(tmp_path / "out" / "smoke_A.exr")[..., 3]
+    encoded = read(tmp_path / "out" / "smoke_motion.exr")
+    assert encoded[..., :2].min() >= 0.0 and encoded[..., :2].max() == pytest.approx(1.0, abs=1e-3)
+    # In pixels of a tile, to the right and down.
+    steps = (2.0 * encoded[..., :2] - 1.0) * facts["motion_scale"] * facts["tile"] * [1.0, -1.0]
+    first, second = alpha[:32, :32], alpha[:32, 32:]
+    rows, columns = np.indices(first.shape)
+    back = map_coordinates(second, [rows + steps[:32, :32, 1], columns + steps[:32, :32, 0]], order=1)
+    shown = first > 0.02
+    moved, still = (np.sqrt(np.mean((picture - first)[shown] ** 2)) for picture in (back, second))
+    assert shown.sum() > 50 and moved < 0.2 * still

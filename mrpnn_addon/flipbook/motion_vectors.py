@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Motion vectors: where in a tile the smoke of each pixel is in the next one. Imports no bpy."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...inference.grids.bound_medium import Flow
+from ...inference.grids.grid import Grid
+from ...inference.scene import Camera, Medium, Volume
+from ...inference.scene.camera_rays import camera_rays, seen_at
+
+
+def motion_vectors(
+    camera: Camera, distance: np.ndarray, volumes: Sequence[tuple[Volume, Medium]], frames: int
+) -> np.ndarray | None:
+    """Pixels to the right and up, float32 (H, W, 2), that smoke moves in some frames; None without any velocity.
+
+    distance: float32 (H, W), along each ray, of the smoke that the pixel stands for; infinite where there is none.
+    volumes: whose velocities last until the next frame. The velocities of volumes that overlap count by extinction.
+    """
+    if all(volume.velocity is None for volume, _ in volumes):
+        return None
+    shown = np.isfinite(distance.ravel())
+    origins, directions, *_ = (values[shown] for values in camera_rays(camera))
+    places = origins + directions * distance.ravel()[shown, None].astype(np.float64)
+    moved, extinction = np.zeros_like(places), np.full(len(places), 1e-30)
+    for volume, medium in volumes:
+        grid = Grid(volume)
+        weight = float(medium.sigma_t.mean()) * grid.sample_density(grid.index(places).T.astype(np.float32))
+        extinction += weight
+        if volume.velocity is not None:
+            start, end = volume.velocity.times
+            flow = Flow(volume.velocity, Flow.grids_of(volume.velocity), np.zeros(1))
+            velocities = flow.velocities(places, np.zeros(len(places), int))
+            moved += weight[:, None] * velocities * ((end - start) * frames)
+    moved /= extinction[:, None]
+    steps = np.nan_to_num(seen_at(camera, places + moved) - seen_at(camera, places))
+    found = np.zeros((distance.size, 2), np.float32)
+    # Rows run downwards.
+    found[shown] = np.stack([steps[0], -steps[1]], axis=1)
+    return found.reshape(*distance.shape, 2)
