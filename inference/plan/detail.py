@@ -15,9 +15,10 @@ from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
 from .resolution import TRANSPORT_CELLS, refinement
 
-#: Largest edges in pixels of larger cells of the coarse transport, and of larger voxels of shadows; and by how many
-#: octaves they may be larger.
-CELL_PIXELS, MOST_COARSER = 1.25, 2
+#: Largest edges in pixels of cells of the coarse transport that are 2 and 4 times as large as usual: the light of few
+#: cells errs wherever it is seen.
+CELL_PIXELS = 1.25, 0.5
+#: Largest edge in pixels of larger voxels of shadows, and by how many octaves they may be larger.
 VOXEL_PIXELS, MOST_COARSER_VOXELS = 0.5, 4
 
 
@@ -41,7 +42,8 @@ def coarser_light(members: Sequence[Volume], camera: Camera, settings: Settings)
         return 0
     corners = np.concatenate([box_corners(volume) for volume in members])
     edge = max(_edges(members[0])) if len(members) == 1 else float(np.ptp(corners, axis=0).max())
-    return _octaves(CELL_PIXELS * smallest_pixel(camera, settings, corners) * TRANSPORT_CELLS / edge, MOST_COARSER)
+    cell = edge / TRANSPORT_CELLS / max(smallest_pixel(camera, settings, corners), 1e-30 * edge)
+    return sum(cell * 2**octaves <= pixels for octaves, pixels in enumerate(CELL_PIXELS, 1))
 
 
 def coarser_shadows(volume: Volume, camera: Camera, settings: Settings) -> int:
@@ -52,7 +54,7 @@ def coarser_shadows(volume: Volume, camera: Camera, settings: Settings) -> int:
     finer = 1 if isinstance(volume.density, SparseGrid) else refinement(shape)
     voxel = min(edge / n for edge, n in zip(_edges(volume), shape)) / finer
     pixel = smallest_pixel(camera, settings, box_corners(volume))
-    return _octaves(VOXEL_PIXELS * pixel / voxel, MOST_COARSER_VOXELS)
+    return int(np.clip(np.floor(np.log2(max(VOXEL_PIXELS * pixel / voxel, 1.0))), 0, MOST_COARSER_VOXELS))
 
 
 def without_detail(settings: Settings) -> Settings:
@@ -63,8 +65,3 @@ def without_detail(settings: Settings) -> Settings:
 def _edges(volume: Volume) -> list[float]:
     """Of a volume's box, in world units."""
     return (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * volume.density.shape).tolist()
-
-
-def _octaves(times: float, most: int) -> int:
-    """Whole octaves in a factor, from 0 to `most`."""
-    return int(np.clip(np.floor(np.log2(max(times, 1.0))), 0, most))

@@ -13,7 +13,7 @@ from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
 from inference.network.network import load_network
 from inference.numerics.interpolation import halved_means
-from inference.plan.detail import MOST_COARSER, coarser_light, coarser_shadows
+from inference.plan.detail import CELL_PIXELS, coarser_light, coarser_shadows
 from inference.plan.plan import make_plan
 from inference.runtime.tasks import SERIAL
 from inference.scene.sparse_grid import SparseGrid
@@ -35,7 +35,7 @@ def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
     distances = np.geomspace(0.1, 1e3, 60)
     views = [camera(distance, resolution=(200, 120)) for distance in distances]
     light = [coarser_light([CLOUD], view, SETTINGS) for view in views]
-    assert light == sorted(light) and light[0] == 0 and light[-1] == MOST_COARSER
+    assert light == sorted(light) and light[0] == 0 and light[-1] == len(CELL_PIXELS)
     shadows = [coarser_shadows(CLOUD, view, SETTINGS) for view in views]
     assert shadows == sorted(shadows) and shadows[0] == 0 and shadows[-1] > 0
     assert not any(coarser_light([CLOUD], view, WHOLE) or coarser_shadows(CLOUD, view, WHOLE) for view in views)
