@@ -18,6 +18,7 @@ from .visibility import VisibleObject, is_holdout
 
 #: Of a transparent mesh with a volume, after its name.
 VOLUME_INSIDE = "so is the volume inside; to render the volume, unlink its surface, or link a white Transparent BSDF"
+SOME_FACES = "some of its faces have no volume in their material; assign the material with the volume to all of them"
 SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction"}
 
 
@@ -77,7 +78,10 @@ def read_surface(
         return None, []
     holdout = is_holdout(shown, view_layer)
     if not holdout and is_transparent(shown.object):
-        if any(material and has_volume(material) for material in materials(shown.object)):
+        volumes = [material is not None and has_volume(material) for material in materials(shown.object)]
+        if any(volumes) and not all(volumes):
+            return None, [f"{where} is left out: {SOME_FACES}"]
+        if any(volumes):
             return None, [f"{where} is transparent and left out, and {VOLUME_INSIDE}"]
         return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
     # Blender's list of instances reuses one object for all of them; its data is each one's own.

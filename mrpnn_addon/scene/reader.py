@@ -29,7 +29,7 @@ from ..objects.ignored_settings import SCENE, VIEW_LAYER, VOLUME, VOLUME_MATERIA
 from ..objects.light_linking import LightLinks
 from ..objects.lights import Lamp, read_lamp, read_suns
 from ..objects.motion import GoTo, read_motion, uses_motion_blur
-from ..objects.surfaces import OWN_FOG, VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
+from ..objects.surfaces import OWN_FOG, SOME_FACES, VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
 from ..objects.views import View, in_one_file, wanted_views
 from ..objects.visibility import (
     VisibleObject,
@@ -380,7 +380,7 @@ def require_volumes(description: SceneDescription) -> None:
 
 def _no_volume(description: SceneDescription) -> str:
     """Why nothing is rendered where no object shows a volume; names a World and meshes that have one."""
-    ends = WORLD_FOG, VOLUME_INSIDE, OWN_FOG
+    ends = WORLD_FOG, VOLUME_INSIDE, SOME_FACES, OWN_FOG
     return "; ".join([NO_VOLUME, *(text for text in description.warnings if text.endswith(ends))])
 
 

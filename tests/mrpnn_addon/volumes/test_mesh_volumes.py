@@ -266,6 +266,21 @@ def test_a_surface_that_lets_all_light_pass_is_none(addon, scene, tmp_path, surf
         assert any('"Fog"' in text and said in text for text in described.warnings)
 
 
+@pytest.mark.parametrize("other", [None, "Paint"])
+def test_a_mesh_with_faces_of_another_material_says_which_it_needs(addon, scene, other):
+    """An empty slot, which Blender shows as a grey surface, or a material without a volume."""
+    _, fog = add_mesh(scene, cube, Density=0.6)
+    lit(scene)
+    mesh = scene.objects["Fog"].data
+    mesh.materials.append(bpy.data.materials.new(other) if other else None)
+    mesh.polygons[0].material_index = 1
+    said = '"Fog" is left out: some of its faces have no volume in their material'
+    with pytest.raises(SceneError, match=said):
+        read(addon)
+    mesh.polygons[0].material_index = 0
+    assert not read(addon).warnings
+
+
 def test_a_world_of_fog_alone_is_named_with_what_is_rendered(addon, scene):
     lit(scene)
     tree = scene.world.node_tree
