@@ -49,8 +49,9 @@ from .precision import Rescaled, in_range
 from .resolution import BAND
 
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
-# into so many tiles per thread at least, where it is large enough, that none waits long for the last one.
-TILE_BANDS, TILES_PER_THREAD = (8, 4, 2, 1), 6
+# into so many tiles per thread at least, where it is large enough, that none waits long for the last one; into fewer
+# where these would have one band.
+TILE_BANDS, TILES_PER_THREAD, SMALL_TILES_PER_THREAD = (8, 4, 2, 1), 6, 2
 
 
 @dataclass(frozen=True)
@@ -355,7 +356,8 @@ def plan_tiles(
         tiles = make_tiles(camera.window, bands)
         pixels = min(threads, len(tiles)) * _largest(tiles)
         needed = memory + pixels * ray
-        if len(tiles) >= TILES_PER_THREAD * threads and needed <= settings.memory_limit:
+        wanted = TILES_PER_THREAD if bands > 2 else SMALL_TILES_PER_THREAD
+        if len(tiles) >= wanted * threads and needed <= settings.memory_limit:
             break
     return tiles, needed
 
