@@ -10,16 +10,16 @@ import numpy as np
 from ..models.abilities import abilities
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_size
-from ..scene.description import Volume
+from ..scene.description import Medium, Volume
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
 from .resolution import TRANSPORT_CELLS, refinement
 
-#: Largest edges in pixels of cells of the coarse transport that are 2 and 4 times as large as usual: the light of few
-#: cells errs wherever it is seen.
-CELL_PIXELS = 1.25, 0.5
-#: Largest edge in pixels of larger voxels of shadows, and by how many octaves they may be larger.
-VOXEL_PIXELS, MOST_COARSER_VOXELS = 0.5, 4
+#: Largest edges in pixels, and optical thicknesses, of cells of the coarse transport that are 2 and 4 times as large as
+#: usual: the light of few cells errs wherever it is seen.
+LARGER_CELLS = (1.25, 8.0), (0.5, 4.0)
+#: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
+LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 1.0), 2
 
 
 def box_corners(volume: Volume) -> np.ndarray:
@@ -36,25 +36,37 @@ def smallest_pixel(camera: Camera, settings: Settings, corners: np.ndarray) -> f
     return float(pixel_size(camera, np.array([nearest]))[0]) * camera.resolution[0] / width
 
 
-def coarser_light(members: Sequence[Volume], camera: Camera, settings: Settings) -> int:
-    """Octaves by which cells of the coarse transport are larger than usual in volumes that become one medium."""
-    if "level_of_detail" not in settings.optimizations or not abilities(settings.model).every_light:
+def coarser_light(members: Sequence[tuple[Volume, Medium]], lamps: bool, camera: Camera, settings: Settings) -> int:
+    """Octaves by which cells of the coarse transport are larger than usual in volumes that become one medium.
+
+    lamps: whether any shine, whose light the transport itself may be.
+    """
+    if lamps or "level_of_detail" not in settings.optimizations or not abilities(settings.model).every_light:
         return 0
-    corners = np.concatenate([box_corners(volume) for volume in members])
-    edge = max(_edges(members[0])) if len(members) == 1 else float(np.ptp(corners, axis=0).max())
-    cell = edge / TRANSPORT_CELLS / max(smallest_pixel(camera, settings, corners), 1e-30 * edge)
-    return sum(cell * 2**octaves <= pixels for octaves, pixels in enumerate(CELL_PIXELS, 1))
+    corners = np.concatenate([box_corners(volume) for volume, _ in members])
+    edge = max(_edges(members[0][0])) if len(members) == 1 else float(np.ptp(corners, axis=0).max())
+    cell, pixel = edge / TRANSPORT_CELLS, smallest_pixel(camera, settings, corners)
+    depth = cell * sum(_peak(*pair) for pair in members)
+    # An albedo that varies is held on cells of the first kind.
+    kinds = LARGER_CELLS[:1] if any(volume.scattering is not None for volume, _ in members) else LARGER_CELLS
+    return sum(cell * 2**n <= pixels * pixel and depth * 2**n <= most for n, (pixels, most) in enumerate(kinds, 1))
 
 
-def coarser_shadows(volume: Volume, camera: Camera, settings: Settings) -> int:
+def coarser_shadows(volume: Volume, medium: Medium, camera: Camera, settings: Settings) -> int:
     """Octaves by which voxels of a volume's shadows are larger than those of its grid."""
     if "level_of_detail" not in settings.optimizations:
         return 0
-    shape = volume.density.shape
+    shape, (pixels, most) = volume.density.shape, LARGER_VOXELS
     finer = 1 if isinstance(volume.density, SparseGrid) else refinement(shape)
-    voxel = min(edge / n for edge, n in zip(_edges(volume), shape)) / finer
+    voxels = [edge / (n * finer) for edge, n in zip(_edges(volume), shape)]
     pixel = smallest_pixel(camera, settings, box_corners(volume))
-    return int(np.clip(np.floor(np.log2(max(VOXEL_PIXELS * pixel / voxel, 1.0))), 0, MOST_COARSER_VOXELS))
+    times = min(pixels * pixel / min(voxels), most / max(max(voxels) * _peak(volume, medium), 1e-30))
+    return int(np.clip(np.floor(np.log2(max(times, 1.0))), 0, MOST_COARSER_VOXELS))
+
+
+def _peak(volume: Volume, medium: Medium) -> float:
+    """Largest extinction coefficient of a volume."""
+    return float(medium.sigma_t.max()) * volume.peak
 
 
 def without_detail(settings: Settings) -> Settings:

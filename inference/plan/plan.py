@@ -336,11 +336,12 @@ def plan_tiles(
 ) -> tuple[list[tuple[int, int, int, int]], int]:
     """Tiles of the camera's window, and the bytes that a render needs, estimated; suns: that are rendered."""
     rendered = scene.volumes
-    shadows = [coarser_shadows(volume, camera, settings) for volume, _ in rendered]
+    shadows = [coarser_shadows(*pair, camera, settings) for pair in rendered]
     memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns, shadows)
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
     groups = [[rendered[v][0] for v in group] for group in scene.groups]
-    coarser = [coarser_light(group, camera, settings) for group in groups]
+    members = [[rendered[v] for v in group] for group in scene.groups]
+    coarser = [coarser_light(group, bool(lights.lamps), camera, settings) for group in members]
     memory += field_bytes(groups, coarser, len(suns) + len(lights.lamps), lights.from_everywhere)
     if lights.sky:
         # That of surfaces, and that which they hide in places.
@@ -396,7 +397,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         predicted |= lights.from_everywhere and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
-        coarser.append(coarser_light([volume for volume, _ in members], camera, settings))
+        coarser.append(coarser_light(members, bool(lights.lamps), camera, settings))
     tiles, memory = plan_tiles(scene, lights, suns, camera, settings)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
@@ -409,7 +410,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         multiple=multiple,
         scattered_emission=scattered_emission,
         coarser=coarser,
-        coarser_shadows=[coarser_shadows(volume, camera, settings) for volume, _ in scene.volumes],
+        coarser_shadows=[coarser_shadows(*pair, camera, settings) for pair in scene.volumes],
         optimizations=settings.optimizations,
         memory=memory,
         tiles=tiles,

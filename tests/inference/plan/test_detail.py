@@ -13,7 +13,7 @@ from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
 from inference.network.network import load_network
 from inference.numerics.interpolation import halved_means
-from inference.plan.detail import CELL_PIXELS, coarser_light, coarser_shadows
+from inference.plan.detail import LARGER_CELLS, coarser_light, coarser_shadows
 from inference.plan.plan import make_plan
 from inference.runtime.tasks import SERIAL
 from inference.scene.sparse_grid import SparseGrid
@@ -34,13 +34,21 @@ def change(found, expected):
 def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
     distances = np.geomspace(0.1, 1e3, 60)
     views = [camera(distance, resolution=(200, 120)) for distance in distances]
-    light = [coarser_light([CLOUD], view, SETTINGS) for view in views]
-    assert light == sorted(light) and light[0] == 0 and light[-1] == len(CELL_PIXELS)
-    shadows = [coarser_shadows(CLOUD, view, SETTINGS) for view in views]
+    light = [coarser_light([(CLOUD, MEDIUM)], False, view, SETTINGS) for view in views]
+    assert light == sorted(light) and light[0] == 0 and light[-1] == len(LARGER_CELLS)
+    shadows = [coarser_shadows(CLOUD, MEDIUM, view, SETTINGS) for view in views]
     assert shadows == sorted(shadows) and shadows[0] == 0 and shadows[-1] > 0
-    assert not any(coarser_light([CLOUD], view, WHOLE) or coarser_shadows(CLOUD, view, WHOLE) for view in views)
+    assert not any(
+        coarser_light([(CLOUD, MEDIUM)], False, view, WHOLE) or coarser_shadows(CLOUD, MEDIUM, view, WHOLE)
+        for view in views
+    )
+    # The light of lamps may be the transport's own, and thick cells tell the light of dense media badly.
+    assert coarser_light([(CLOUD, MEDIUM)], True, views[-1], SETTINGS) == 0
+    dense = Medium(1e5)
+    assert coarser_light([(CLOUD, dense)], False, views[-1], SETTINGS) == 0
+    assert coarser_shadows(CLOUD, dense, views[-1], SETTINGS) == 0
     # A network that knows suns alone has cells of its own.
-    assert coarser_light([CLOUD], views[-1], replace(SETTINGS, model="paper")) == 0
+    assert coarser_light([(CLOUD, MEDIUM)], False, views[-1], replace(SETTINGS, model="paper")) == 0
 
 
 @pytest.mark.parametrize("distance", [8.0, 14.0, 30.0])
