@@ -289,7 +289,7 @@ def test_a_scene_that_cannot_be_rendered_is_named(change, message):
 def test_warnings_name_what_is_outside_the_trained_range():
     layer = render([(box(name="fog"), Medium(1e5, 0.9, 0.99))], [SUN], camera())
     assert any("fog: anisotropy" in w for w in layer.report.warnings)
-    assert any("fog: optical thickness" in w for w in layer.report.warnings)
+    assert any("fog: very dense" in w for w in layer.report.warnings)
     assert np.all(np.isfinite(layer.rgb)) and layer.rgb.min() >= 0.0
 
 
