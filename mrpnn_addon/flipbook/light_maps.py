@@ -65,7 +65,9 @@ def render_tile(
     if camera.projection == "equirectangular":
         raise SceneError("light maps need a perspective or orthographic camera")
     surfaces = [replace(surface, emission=np.zeros(3)) for surface in scene.surfaces]
-    volumes = [(without_emission(volume), grey(medium)) for volume, medium in scene.volumes]
+    # A tile is an instant, whatever moves in it.
+    still = [(replace(volume, velocity=None), medium) for volume, medium in scene.volumes]
+    volumes = [(without_emission(volume), grey(medium)) for volume, medium in still]
     glows = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in scene.volumes)
     cache, parts = inference.RenderCache(), 2 + glows
     flows = any(volume.velocity is not None for volume, _ in scene.volumes)
@@ -84,7 +86,7 @@ def render_tile(
     try:
         lit = [render(number, list(suns(number)), volumes) for number in range(2)]
         maps = np.concatenate([layer.rgb for layer in lit], axis=2)
-        emission = render(2, [], scene.volumes).rgb if glows else np.zeros_like(maps[..., :3])
+        emission = render(2, [], still).rgb if glows else np.zeros_like(maps[..., :3])
     except MemoryError:
         raise SceneError("not enough memory for this frame; use a smaller texture, or smaller grids") from None
     distance, motion = lit[0].median, None
