@@ -21,15 +21,14 @@ SHARED_RANGE = 16.0
 class DensityReader:
     """The padded pyramid of a volume, and its lattices for the last optical thickness. Safe on several threads.
 
-    extent: lowest and highest coordinates (3,), in the cube's frame, of points with density. many: whether instances of
-    several sizes may read it. Raises Cancelled.
+    extent: lowest and highest coordinates (3,), in the cube's frame, of points with density. readers: instances that
+    read it, perhaps of several sizes. Raises Cancelled.
     """
-
-    many = False
 
     def __init__(self, volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelToken = NEVER):
         self.stencil, self.extent = stencil, extent(volume, cube)
         self.padded = padded_pyramid(volume, cube, stencil, cancel)
+        self.readers: weakref.WeakSet[object] = weakref.WeakSet()
         self._lock = threading.Lock()
         self._lattices: tuple[tuple[float, ...], Lattices] | None = None
         # Those in use, by the optical thickness for which they were built.
@@ -43,7 +42,7 @@ class DensityReader:
         """As `density_lattices`; they serve every light. Raises Cancelled."""
         key = alike(sigma_hat)
         with tasks.cancel.locked(self._lock):
-            if self.many:
+            if len(self.readers) > 1:
                 thickest = SHARED_RANGE ** float(np.ceil(np.log(max(sigma_hat, 1e-30)) / np.log(SHARED_RANGE)))
                 known = self._shared.get(thickest)
                 if known is None:

@@ -140,6 +140,7 @@ class RayPredictor(Predictor):
         #: What instances share, by `coarser` of their cells.
         self._sharing = {0: _Instances(self.density, 0)}
         self._shared = self._sharing[0]
+        self.density.readers.add(self)
         self._forget()
 
     @property
@@ -158,7 +159,8 @@ class RayPredictor(Predictor):
         instance = copy.copy(self)
         instance.cube = cube
         instance._forget()
-        self._shared.many = self.density.many = True
+        self._shared.many = True
+        self.density.readers.add(instance)
         return instance
 
     def coarsened(self, coarser: int) -> "RayPredictor":
@@ -170,6 +172,7 @@ class RayPredictor(Predictor):
         instance = copy.copy(self)
         instance._shared = known
         instance._forget()
+        self.density.readers.add(instance)
         return instance
 
     def prepare(self, conditions: LitConditions, tasks: AnyTasks = SERIAL) -> PreparedRays:

@@ -448,9 +448,8 @@ def flipbook(shot: Shot) -> None:
     assert scene.camera.data.type != "PANO", "light maps of a panorama"
     assert (scene.frame_current, scene.frame_subframe) == before
     facts = run_command(shot, "flipbook", "--output", str(folder / "command.exr"))
-    moves = (folder / "maps_motion.exr").exists()
-    assert moves == (folder / "command_motion.exr").exists()
-    for name in ("A", "B", "motion") if moves else "AB":
+    assert (folder / "maps_motion.exr").exists() == (folder / "command_motion.exr").exists()
+    for name in "AB":
         picture, command = (
             np.stack([read_picture(folder / f"{base}_{name}.exr").channels[letter] for letter in "RGBA"], axis=-1)
             for base in ("maps", "command")

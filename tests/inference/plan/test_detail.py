@@ -99,10 +99,15 @@ def test_half_a_sparse_grid_equals_half_the_dense_one(seed):
     assert np.all(cropped.first >= 1) and np.all(cropped.first + cropped.shape + 1 < 8 * np.array(cropped.table.shape))
 
 
+class Instance:
+    """What reads a volume's density."""
+
+
 def test_instances_of_several_sizes_share_lattices():
     stencil = load_network("mrpnn").points
     reader = DensityReader(CLOUD, fit_cube(CLOUD), stencil)
-    reader.many = True
+    instances = [Instance(), Instance()]
+    reader.readers.update(instances)
     thick, thin = (reader.lattices(sigma_hat, SERIAL) for sigma_hat in (10.0, 10.0 / SHARED_RANGE * 2.0))
     assert thick.values is thin.values
     for lattices, sigma_hat in ((thick, 10.0), (thin, 10.0 / SHARED_RANGE * 2.0)):
