@@ -97,7 +97,7 @@ class _Ordinates(DiscreteOrdinates):
         follow = self.sweeps.followers(fields.source, fields.swept)
         for number in range(SWEEPS):
             np.add(first, again[:4], out=fields.field[:4])
-            self._limit_flux(fields.field)
+            self._bound(fields.field)
             self._sweep(fields, follow, NEVER)
             change = self._newly_scattered(fields.swept, again)
             again[:4] = fields.swept
