@@ -19,7 +19,7 @@ from .resolution import TRANSPORT_CELLS, refinement
 #: usual: the light of few cells errs wherever it is seen.
 LARGER_CELLS = (1.25, 8.0), (0.5, 4.0)
 #: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
-LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 1.0), 2
+LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 0.4), 2
 
 
 def box_corners(volume: Volume) -> np.ndarray:
