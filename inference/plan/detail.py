@@ -64,14 +64,14 @@ def coarser_shadows(volume: Volume, medium: Medium, camera: Camera, settings: Se
     return int(np.clip(np.floor(np.log2(max(times, 1.0))), 0, MOST_COARSER_VOXELS))
 
 
-def _peak(volume: Volume, medium: Medium) -> float:
-    """Largest extinction coefficient of a volume."""
-    return float(medium.sigma_t.max()) * volume.peak
-
-
 def without_detail(settings: Settings) -> Settings:
     """Settings for where no picture tells how many pixels a volume covers."""
     return replace(settings, optimizations=settings.optimizations - {"level_of_detail"})
+
+
+def _peak(volume: Volume, medium: Medium) -> float:
+    """Largest extinction coefficient of a volume."""
+    return float(medium.sigma_t.max()) * volume.peak
 
 
 def _edges(volume: Volume) -> list[float]:
