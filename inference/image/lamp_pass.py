@@ -170,12 +170,12 @@ def means_around_lamps(
         _, whole = intervals(batch.origins[numbers], batch.directions[numbers], cosine[:: within**2])
         ends = np.where(batch.far[numbers] < whole, batch.far[numbers], np.inf)
         far = np.minimum(far, np.repeat(ends, within**2))
-        hit = np.flatnonzero(near < far)
-        if not len(hit):
-            continue
-        segment = channel_pass.march(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
-        assert segment.lamps is not None
-        single = np.zeros((len(numbers), *segment.lamps.single.shape[1:]))
-        np.add.at(single, hit // within**2, segment.lamps.single / within**2)
+        single = np.zeros((len(numbers), len(channel_pass.media), lamps.shape[1], len(channel_pass.scattering)))
+        for k in np.flatnonzero(lamps.any(axis=0)):
+            hit = np.flatnonzero((near < far) & np.repeat(lamps[numbers, k], within**2))
+            if len(hit):
+                segment = channel_pass.march.of_lamp(k)(RayBatch(origins[hit], directions[hit], near[hit], far[hit]))
+                assert segment.lamps is not None
+                np.add.at(single[:, :, k], hit // within**2, segment.lamps.single[:, :, 0] / within**2)
         means.append(LampMeans(numbers, lamps[numbers], single))
     return means

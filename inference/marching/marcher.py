@@ -134,6 +134,25 @@ class Marcher:
         lamps = self._lamps and replace(self._lamps, fluence=None)
         return Marcher(self._media, options, self._indices, self._stop, lamps)
 
+    @functools.cached_property
+    def _in_lamps_alone(self) -> "Marcher":
+        """The same without features and suns."""
+        dark = [replace(medium, sun_depths=[]) for medium in self._media]
+        options = replace(self._options, depth_samples=1, fluence=None, shadow_maps=None, most_detail=1)
+        lamps = self._lamps and replace(self._lamps, fluence=None)
+        return Marcher(dark, options, self._indices, self._stop, lamps)
+
+    def of_lamp(self, number: int) -> "Marcher":
+        """Marches in the light of one lamp alone, without features."""
+        whole = self._in_lamps_alone
+        assert whole._lamps is not None
+        found = copy.copy(whole)
+        found._lamps = replace(whole._lamps, lamps=[whole._lamps.lamps[number]], means=[whole._lamps.mean(number)])
+        listed = structures.rows_of(whole._scene.fields["lamp_list"], [number])
+        found._scene = structures.copied(whole._scene, lamps=1, lamp_list=listed)
+        found._local = threading.local()
+        return found
+
     def __call__(self, rays: RayBatch) -> RaySegment:
         """March rays whose intervals contain all media. Raises Cancelled."""
         return self.march_steps(rays, step_counts(self.boxes, rays))
