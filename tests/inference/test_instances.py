@@ -30,6 +30,7 @@ def copies(volumes):
     return [replace(volume, density=volume.density.copy()) for volume in volumes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["suns and sky", "lamp"])
 @pytest.mark.parametrize(
     "places", [[(0.0, 1.0), (0.0, 1.0)], [(0.0, 1.0), (0.7, 1.0)], [(0.3, 1.0), (0.3, 0.6)]], ids=str
@@ -47,6 +48,7 @@ def test_instances_look_like_copies(places, light):
     np.testing.assert_allclose(shared.alpha, apart.alpha, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_alike_instances_that_overlap_look_like_copies():
     """A row too long to be one medium: some points are in two instances that are predicted together."""
     volumes = [at((0.75 * n - 1.9, 0.0, 0.0)) for n in range(6)]

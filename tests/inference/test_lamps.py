@@ -417,6 +417,7 @@ def test_surfaces_shadow_lamps():
     assert right == pytest.approx(lit[:, 13:], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_light_of_a_lamp_changes_steadily_as_it_enters_smoke():
     volume, settings, means = box(voxels=16), Settings(depth_samples=8), []
     for height in (0.54, 0.52, 0.50, 0.48, 0.46):

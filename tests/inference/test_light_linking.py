@@ -36,6 +36,7 @@ def only(light, *names):
     return replace(light, receivers=frozenset(names))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", [SUN, LAMP], ids=["sun", "lamp"])
 def test_a_light_is_the_sum_of_what_lights_each_volume(light):
     whole = picture([light])

@@ -204,6 +204,7 @@ def test_predictions_match_the_image():
     np.testing.assert_allclose(layer.multiple[0, 0], 0.9 * predicted.mean(axis=0) * (1 - np.exp(-10.0)), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_sampling_error_is_what_more_depth_samples_remove():
     """Over the pixels: right in its size, and in where it is large."""
 

@@ -29,6 +29,7 @@ def run_matrix(*arguments: str) -> None:
     assert run.returncode == 0, run.stdout[-20000:] + run.stderr[-3000:]
 
 
+@pytest.mark.slow
 def test_the_first_row_comes_through_quick_doors():
     run_matrix("--row", "0", "--door", "viewport", "render volumes", "command render")
 

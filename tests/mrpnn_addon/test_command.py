@@ -355,6 +355,7 @@ sys.exit(status)
 """
 
 
+@pytest.mark.slow
 def test_a_script_in_its_own_process_ends_cleanly(blend):
     """The file is written, nothing leaks and nothing hangs."""
     folder = blend.parent

@@ -58,6 +58,7 @@ def test_blackbodies_and_grey(addon, scene, tmp_path):
     np.testing.assert_allclose(evaluated(emission)[0], rendered(scene, tmp_path)[0], rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floats", [False, True])
 def test_images(addon, scene, tmp_path, floats):
     """Of bytes in each colour space that is read, and of floats."""

@@ -56,6 +56,7 @@ def test_directions_survive_their_code():
     assert np.degrees(np.arccos(np.clip((decoded * vectors).sum(axis=1), -1.0, 1.0))).max() < 1.0
 
 
+@pytest.mark.slow
 def test_unscattered_paths_follow_the_phase_function_and_the_transmittance(ball):
     omega = unit_vectors(400)
     centre = np.zeros((len(omega), 3), np.float32)

@@ -79,6 +79,7 @@ def ball(cells=24):
     return Volume(density, frame, name="ball"), Medium(sigma_t=40.0, albedo=(0.0, 0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_a_ball_out_of_focus_is_as_large_as_its_circle_of_confusion():
     place = np.eye(4)
     place[2, 3] = 2.0
@@ -147,6 +148,7 @@ def test_outputs_of_one_ray_are_those_of_the_middle_of_the_lens_and_deep_samples
         render([ball()], sun, blurred, Settings(outputs=frozenset({"deep"})))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_small_volumes_out_of_focus_are_seen_wherever_a_ray_meets_them(projection):
     """Many volumes, whose windows tell which of them each tile is marched through."""

@@ -68,6 +68,7 @@ def test_each_pixel_looks_at_times_all_over_the_shutter():
     assert np.allclose([eye.world_matrix[0, 3] for eye in eyes.cameras], 2.0 * eyes.times - 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("projection", ["perspective", "orthographic", "equirectangular"])
 @pytest.mark.parametrize("curve", [(), (0.0, 1.0)])
 def test_a_picture_is_the_mean_of_pictures_at_many_times(projection, curve):
@@ -119,6 +120,7 @@ def at(x=0.0, y=0.0, turn=0.0, scale=1.0):
     return matrix
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_volumes_are_seen_where_they_are_at_each_time(projection):
     """One passes behind another that grows while it turns; lit, and from a camera that moves too."""

@@ -79,6 +79,7 @@ def mean_picture(volume, medium, flow, lights, settings):
     return {name: np.mean([getattr(one, name) for one in pictures], axis=0) for name in ("alpha", "rgb")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sparse", [False, True])
 def test_a_picture_is_the_mean_of_pictures_of_what_velocities_carry(sparse):
     (volume, medium), flow = ball(), velocity()
@@ -98,6 +99,7 @@ def test_a_picture_is_the_mean_of_pictures_of_what_velocities_carry(sparse):
         assert blurred < 0.05 and unblurred > 0.15
 
 
+@pytest.mark.slow
 def test_a_uniform_velocity_moves_a_volume_as_a_whole():
     """Light, too, is what it was at the frame: multiple scattering and depth as well."""
     volume, medium = ball()

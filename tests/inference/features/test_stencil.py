@@ -31,6 +31,7 @@ def relaxed():
     return relaxed_stencil()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["stencil", "relaxed"])
 @pytest.mark.parametrize("layer", range(1, 9))
 def test_layers_are_spread_and_scaled(request, made, layer):

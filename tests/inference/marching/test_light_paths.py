@@ -106,6 +106,7 @@ def rays_of(camera: PinholeCamera, media) -> RayBatch:
     return RayBatch(origins, directions, np.maximum(near, 0.0), far)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma, anisotropy", [(3.0, 0.857), (30.0, 0.5), (40.0, 0.0)])
 def test_paths_leave_as_those_of_the_tracer_that_trains_networks(sigma, anisotropy):
     """In the same directions on the mean, after as many collisions; the two share no code."""

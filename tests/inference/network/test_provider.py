@@ -70,6 +70,7 @@ def openvino():
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.skipif((sys.platform, platform.machine()) != ("linux", "x86_64"), reason="no OpenVINO for this machine")
 def test_another_provider_gives_the_cpus_picture(openvino, tmp_path):
     """In a separate process, since onnxruntime is loaded here already."""

@@ -76,6 +76,7 @@ def test_joined_volumes_look_as_they_do_apart(colours):
         assert change(one.emission, each.emission, shown) < 2.0 * OPTIMIZATIONS["joined_volumes"].budget
 
 
+@pytest.mark.slow
 def test_volumes_that_differ_are_joined_with_their_kind_alone():
     draine = PhaseFunction(((1.0, "henyey_greenstein", (0.3,)),))
     kinds = [{}, {"anisotropy": 0.3, "phase": draine}, {"sigma_t": (1.0, 2.0, 3.0)}]
@@ -98,6 +99,7 @@ def test_volumes_that_are_told_apart_are_not_joined():
     assert joins(volumes, memory_limit=1 << 20) == []
 
 
+@pytest.mark.slow
 def test_joined_volumes_stay_while_the_camera_moves():
     volumes, cache = puffs(), RenderCache()
     picture(volumes, cache=cache)

@@ -41,6 +41,7 @@ def test_windows_hold_every_ray_that_meets_a_box(options):
     assert np.median(share) < 0.1
 
 
+@pytest.mark.slow
 def test_a_panorama_of_clouds_is_the_same_with_every_pixel_marched():
     volumes = []
     for number, direction in enumerate(np.random.default_rng(1).normal(size=(12, 3))):

@@ -184,6 +184,7 @@ def test_a_volume_per_colour_channel_is_the_chromatic_medium(light):
     close(found.alpha, expected.alpha, 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anisotropy", [0.0, 0.857])
 def test_the_albedo_that_light_has_met_is_that_of_traced_paths(anisotropy):
     """Light of uniform albedos, as paths tell it, becomes that of patches of two albedos."""

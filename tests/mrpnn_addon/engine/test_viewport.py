@@ -83,6 +83,7 @@ def pictures(preview):
     return {**found, preview.number: preview.picture}
 
 
+@pytest.mark.slow
 def test_the_preview_refines_to_the_final_render(addon, scene, cloud):
     description = described(addon)
     large = replace(description.camera, resolution=(160, 120))

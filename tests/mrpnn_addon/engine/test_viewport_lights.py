@@ -58,6 +58,7 @@ def test_every_class_of_light_is_known():
     assert {type(light) for light in one_of_each()} == classes - NO_LIGHTS
 
 
+@pytest.mark.slow
 def test_lights_of_every_class(addon, cloud):
     blender_scenes.add_sun(cloud)
     description = read(addon)

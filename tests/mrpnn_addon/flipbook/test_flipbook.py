@@ -251,6 +251,7 @@ def test_sliders_relight_the_flipbook_on_its_plane(addon, scene, smoke, tmp_path
             shown.hide_render = False
 
 
+@pytest.mark.slow
 def test_motion_vectors_lead_from_each_tile_to_the_next(addon, scene, smoke, tmp_path):
     """Smoke that drifts by whole voxels: the second tile, warped back, is the first one."""
     drift, frame = np.array([2.0, 0.0, 1.0]), blender_scenes.centred(16, 2.0)

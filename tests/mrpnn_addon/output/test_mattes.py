@@ -77,6 +77,7 @@ def test_files_hold_mattes_as_specified(addon, clouds, tmp_path):
         assert np.all(first >= second) and second.max() > 0.05
 
 
+@pytest.mark.slow
 def test_blenders_cryptomatte_node_reads_them(addon, clouds, tmp_path):
     """From F12's result and from files, in every case what one of the volumes covers."""
     paths = write(clouds, tmp_path)
@@ -174,6 +175,7 @@ def test_shadow_is_what_volumes_let_through_to_surfaces(addon, scene, tmp_path):
         assert dark == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.slow
 def test_a_region_in_the_full_frame_has_its_passes_in_place(addon, clouds, tmp_path):
     clouds.render.use_border, clouds.render.use_crop_to_border = True, False
     clouds.render.border_min_x, clouds.render.border_max_x = 0.25, 0.75

@@ -46,6 +46,7 @@ def move_sliders(node):
     node.inputs["World Strength"].default_value = 0.0
 
 
+@pytest.mark.slow
 def test_sliders_are_a_render_in_the_changed_light(cloud, tmp_path):
     assert bpy.ops.mrpnn.relight() == {"FINISHED"}
     node = relight_node(cloud)

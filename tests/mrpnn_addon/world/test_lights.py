@@ -113,6 +113,7 @@ def panorama(width, height):
     return image
 
 
+@pytest.mark.slow
 def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
     """Thin, isotropically scattering fog shows its fluence: radiance = alpha albedo fluence / 4 pi."""
     cloud = blender_scenes.cloud_scene(scene, tmp_path, density=0.1)

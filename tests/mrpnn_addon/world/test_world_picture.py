@@ -55,6 +55,7 @@ def test_a_picture_equals_the_evaluated_nodes(scene, pictures):
     assert shown(scene, pictures) is picture
 
 
+@pytest.mark.slow
 def test_the_sun_disc_of_a_sky_becomes_a_sun(scene, pictures):
     sky = feed(scene, "ShaderNodeTexSky")
     sky.sun_elevation, sky.sun_rotation = 0.5, 0.8
