@@ -90,6 +90,11 @@ class Skies:
             self._blurred[key] = blurred(self.image, anisotropies)
         return self._blurred[key]
 
+    @functools.cached_property
+    def even(self) -> bool:
+        """Whether the same light comes from everywhere to every place."""
+        return self.weights == (None,) and all(environment.even for environment in self.environments)
+
     @property
     def vary(self) -> bool:
         """Whether places see different shares."""
@@ -270,7 +275,7 @@ def solve_environment(
     First of its C channels, those that are not visible everywhere solved on larger cells. Then, on cells twice as
     large, of a medium of each of ALBEDOS, with the C channels and even light of radiance 1: (34, 34, 34, 4 ALBEDOS
     (C + 1)). coarse: a level of the density pyramid, float32 (x, y, z). sigma_hat: extinction per unit density times
-    the cube's edge. entering: radiance over 4 pi of each channel.
+    the cube's edge. entering: radiance over 4 pi of each channel; none for light that is even itself.
     triangles: (T, 3, 3), in the cube's frame, of surfaces that end the light of channels which are not visible
     everywhere, or None. Raises Cancelled.
     """
@@ -298,7 +303,8 @@ def solve_environment(
     even_light = iter(solve(coarse, 1.0, [channel for channel in entering if channel.visible is None]))
     light = [next(even_light if channel.visible is None else shaded) for channel in entering]
     absorbed = [values for albedo in ALBEDOS for values in solve(coarser, albedo, [*entering, even])]
-    return environment_lattice(np.stack(light, axis=1)), environment_lattice(np.stack(absorbed, axis=1))
+    stacked = np.stack(light, axis=1) if light else np.empty((4, 0, *coarse.shape), np.float32)
+    return environment_lattice(stacked), environment_lattice(np.stack(absorbed, axis=1))
 
 
 def reaching(
@@ -332,12 +338,14 @@ def environment_lattice(light: np.ndarray) -> np.ndarray:
     light: float32 (4, C, n, n, n), of `DiscreteOrdinates.environment`.
     """
     n = light.shape[-1]
-    cells = np.moveaxis(light, (0, 1), (3, 4)).reshape(n, n, n, -1)
+    cells = np.moveaxis(light, (0, 1), (3, 4)).reshape(n, n, n, light.shape[0] * light.shape[1])
     return np.pad(cells, [(1, 1)] * 3 + [(0, 0)], mode="edge")
 
 
 def read_lattice(lattice: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Trilinear values float32 (N, k) of a lattice (n + 2, n + 2, n + 2, k) at positions (N, 3) in the cube's frame."""
+    if not lattice.shape[-1]:
+        return np.empty((len(positions), 0), np.float32)
     size = len(lattice)
     index = np.clip((positions + 0.5) * (size - 2) + 0.5, 0.0, size - 1 - 1e-3).astype(np.float32)
     cell = index.astype(np.int32)

@@ -117,37 +117,43 @@ int64_t NAMED(sweep_blocks, VARIANT)(const BlockSweep *sweep) {
     return sweep->blocks;
 }
 
-/* Optical depth from a point in one direction. */
-static float open_depth(const OpenDepthSamples *data, const float *at, const float *towards, const float *lattice) {
-    float depth = 0.0f;
+/* Optical depths from points in one direction. */
+static Floats open_depth(const OpenDepthSamples *data, const Floats *at, const float *towards, const float *lattice) {
+    Floats depth = in_all(0.0f);
     for (int64_t s = 0; s < data->samples; s++) {
-        int64_t level = data->sampled[s], cells = data->cells[level], voxel = 0;
+        int64_t level = data->sampled[s], cells = data->cells[level];
         const int64_t *strides = data->strides + 2 * level;
-        int outside = 0;
+        Ints inside = (Ints){0} - 1, cell[3];
         for (int axis = 0; axis < 3; axis++) {
-            float along = (at[axis] + data->middles[s] * towards[axis] + 0.5f) * (float)cells;
-            int64_t cell = (int64_t)along;
-            outside |= along < 0.0f || cell >= cells;
-            voxel += cell * (axis < 2 ? strides[axis] : 1);
+            Floats along = (at[axis] + data->middles[s] * towards[axis] + 0.5f) * (float)cells;
+            inside &= (along >= 0.0f) & (along < (float)cells);
+            cell[axis] = ints_within(to_ints(clamped_to(along, in_all(0.0f), in_all((float)cells))), (int32_t)cells - 1);
         }
-        if (!outside) depth += data->lengths[s] * data->levels[level][voxel];
+        Longs voxel = to_longs(cell[0]) * strides[0] + to_longs(cell[1]) * strides[1] + to_longs(cell[2]);
+        Floats density;
+        FOR_LANES(n) density[n] = data->levels[level][voxel[n]];
+        depth += choose(inside, data->lengths[s] * density, in_all(0.0f));
     }
-    int64_t n = data->edge, voxel = 0, strides[3] = {n * n, n, 1};
-    float fraction[3], rows[4], reach = (float)data->reach;
+    int64_t n = data->edge, first[LANES];
+    Ints inside = (Ints){0} - 1, cell[3];
+    Floats fraction[3];
     for (int axis = 0; axis < 3; axis++) {
-        float end = at[axis] + reach * towards[axis];
-        if (!(end > -0.5f && end < 0.5f)) return depth;
-        float index = (end + 0.5f) * (float)(n - 2) + 0.5f;
-        int64_t cell = (int64_t)index;
-        fraction[axis] = index - (float)cell;
-        voxel += cell * strides[axis];
+        Floats end = at[axis] + (float)data->reach * towards[axis];
+        inside &= (end > -0.5f) & (end < 0.5f);
+        Floats index = (clamped_to(end, in_all(-0.5f), in_all(0.5f)) + 0.5f) * (float)(n - 2) + 0.5f;
+        cell[axis] = ints_within(to_ints(index), (int32_t)n - 2);
+        fraction[axis] = index - to_floats(cell[axis]);
     }
-    for (int64_t r = 0; r < 4; r++) {
-        const float *row = lattice + voxel + (r >> 1) * n * n + (r & 1) * n;
-        rows[r] = (1.0f - fraction[2]) * row[0] + fraction[2] * row[1];
+    if (!any_lane(inside)) return depth;
+    Longs voxel = (to_longs(cell[0]) * n + to_longs(cell[1])) * n + to_longs(cell[2]);
+    memcpy(first, &voxel, sizeof first);
+    Pairs pairs[4];
+    FOR_LANES(m) {
+        const float *row = lattice + first[m];
+        pairs[0][m] = pair_at(row), pairs[1][m] = pair_at(row + n);
+        pairs[2][m] = pair_at(row + n * n), pairs[3][m] = pair_at(row + n * n + n);
     }
-    float low = (1.0f - fraction[1]) * rows[0] + fraction[1] * rows[1];
-    return depth + (1.0f - fraction[0]) * low + fraction[0] * ((1.0f - fraction[1]) * rows[2] + fraction[1] * rows[3]);
+    return depth + choose(inside, trilinear(pairs, fraction), in_all(0.0f));
 }
 
 int64_t NAMED(sample_open_depths, VARIANT)(const OpenDepthSamples *data) {
@@ -157,8 +163,14 @@ int64_t NAMED(sample_open_depths, VARIANT)(const OpenDepthSamples *data) {
         int64_t end = first + TOGETHER < data->points ? first + TOGETHER : data->points;
         for (int64_t d = 0; d < data->directions; d++) {
             const float *towards = data->towards + 3 * d, *lattice = data->lattice + d * cube;
-            for (int64_t p = first; p < end; p++) {
-                data->depths[p * data->directions + d] = open_depth(data, data->positions + 3 * p, towards, lattice);
+            for (int64_t point = first; point < end; point += LANES) {
+                int used = end - point < LANES ? (int)(end - point) : LANES;
+                Floats at[3], depth;
+                for (int axis = 0; axis < 3; axis++) {
+                    FOR_LANES(m) at[axis][m] = data->positions[3 * (point + (m < used ? m : used - 1)) + axis];
+                }
+                depth = open_depth(data, at, towards, lattice);
+                for (int m = 0; m < used; m++) data->depths[(point + m) * data->directions + d] = depth[m];
             }
         }
     }

@@ -82,9 +82,11 @@ def probe_positions(
 
 def lobe_weights(omega: np.ndarray, anisotropies: Sequence[float] = LOBES) -> np.ndarray:
     """Weights float32 (V, L, 50) of DIRECTIONS, summing to 1, in L lobes around camera rays (V, 3)."""
-    cosine = product(omega, DIRECTIONS.T)
-    lobes = np.stack([DIRECTION_WEIGHTS * (1.0 + g * g - 2.0 * g * cosine) ** -1.5 for g in anisotropies], axis=1)
-    return (lobes / lobes.sum(axis=2, keepdims=True)).astype(np.float32)
+    cosine = product(omega, DIRECTIONS.T).astype(np.float32)[:, None]
+    g, weights = np.asarray(anisotropies, np.float32)[:, None], DIRECTION_WEIGHTS.astype(np.float32)
+    wide = np.float32(1.0) + g * g - np.float32(2.0) * g * cosine
+    lobes = weights / (wide * np.sqrt(wide))
+    return lobes / lobes.sum(axis=2, keepdims=True)
 
 
 class OpenMeans:
@@ -94,13 +96,13 @@ class OpenMeans:
     """
 
     def __init__(self, depths: np.ndarray, lobes: np.ndarray, sigma_hat: np.ndarray | float):
-        self.weights, logs, self.directions = [], [], []
+        self._lobes, self._open, self._totals, logs, self.directions = lobes, [], [], [], []
         for scale in SCALES:
             open_to, largest = _open(depths, sigma_hat, scale)
-            weights = lobes * open_to[:, None]
-            total = weights.sum(axis=2, keepdims=True)
-            self.weights.append(weights / total)
-            logs.append(np.log(total[:, :, 0]) + largest)
+            total = np.einsum("nlk,nk->nl", lobes, open_to)
+            self._open.append(open_to)
+            self._totals.append(total)
+            logs.append(np.log(total) + largest)
             even = open_to * DIRECTION_WEIGHTS.astype(np.float32)
             self.directions.append(product(even / even.sum(axis=1, keepdims=True), DIRECTIONS.astype(np.float32)))
         #: Logarithms float32 (N, SCALES * LOBES) of the transmittance of each lobe, at each scale.
@@ -112,8 +114,11 @@ class OpenMeans:
         visible: share (N, 50) of it that reaches the points.
         """
         light = directions.astype(np.float32)
-        seen = np.reshape(visible, (-1, 1, 50)) if np.ndim(visible) else 1.0
-        return np.concatenate([product(weights * seen, light) for weights in self.weights], axis=1)
+        means = [
+            product(self._lobes * (open_to * visible)[:, None], light) / total[..., None]
+            for open_to, total in zip(self._open, self._totals)
+        ]
+        return np.concatenate(means, axis=1)
 
 
 def visible_ahead(lobes: np.ndarray, directions: np.ndarray, visible: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from ..features.descriptors import FieldLookup, distinct_rows
 from ..grids.working_cube import Cube
 from .conditions import RayPoints
 from .environment_features import (
+    CANDIDATES,
     SHARPEST,
     OpenMeans,
     blurs,
@@ -55,8 +56,9 @@ class PreparedEnvironment:
     """What predicts the light of environments in one volume, for one optical thickness. Immutable.
 
     cube: of the volume. skies: the light, S of them of C channels. lookup: of the density at the stencil. low: number
-    of its low-frequency points. depths: what is open to points. light, absorbed: of `solve_environment`. radiance: (50,
-    S C), of `direction_radiance`. blurred: float32 (H, 2H, B, S C). sigma_hat: extinction per unit density times the
+    of its low-frequency points. depths: what is open to points. light, absorbed: of `solve_environment`, of no channel
+    where the skies are even: all that the network weighs is their radiance then. radiance: (50, S C), of
+    `direction_radiance`. blurred: float32 (H, 2H, B, S C). sigma_hat: extinction per unit density times the
     cube's edge. thickness: the same at the largest density. anisotropy: G.
     """
 
@@ -89,11 +91,13 @@ class PreparedEnvironment:
         depths = self.depths(positions)
         opened = OpenMeans(depths, lobe_weights(omega[first])[view], self.sigma_hat)
         probes = probe_positions(positions, omega, depths, self.sigma_hat)
-        flat = probes.reshape(-1, 3)
-        light = read_lattice(self.light, flat).reshape(count, probes.shape[1], 4, channels)
-        absorbed = read_lattice(self.absorbed, flat).reshape(count, probes.shape[1], 4, len(ALBEDOS), channels + 1)
+        flat, solved = probes.reshape(-1, 3), self.light.shape[-1] // 4
+        light = read_lattice(self.light, flat).reshape(count, probes.shape[1], 4, solved)
+        absorbed = read_lattice(self.absorbed, flat).reshape(count, probes.shape[1], 4, len(ALBEDOS), solved + 1)
         seldom, even = seldom_scattered(light, absorbed.swapaxes(2, 3), omega)
         x = inputs(density, along, opened, even, omega, self.thickness, self.anisotropy)
+        if self.skies.even:
+            return self._weighed(x, np.tile(self.radiance[0], (count, CANDIDATES, 1)), albedos)
         ahead, open_to = read_image(self.blurred, omega[first])[view], opened.radiance(self.radiance)
         for sky, seen in visible.items():
             own = slice(sky * channels, (sky + 1) * channels)
@@ -101,7 +105,10 @@ class PreparedEnvironment:
             ahead[..., own] *= visible_ahead(lobes, self.radiance[:, own], seen)[..., None]
             open_to[..., own] = opened.radiance(self.radiance[:, own], seen)
         ahead, open_to = _reaching(ahead, shares), _reaching(open_to, shares)
-        radiances = candidates(ahead, open_to, light, seldom, omega, self.anisotropy)
+        return self._weighed(x, candidates(ahead, open_to, light, seldom, omega, self.anisotropy), albedos)
+
+    def _weighed(self, x: np.ndarray, radiances: np.ndarray, albedos: Sequence[float]) -> np.ndarray:
+        """As `predict`; x, radiances: as of `EnvironmentNetwork.run`."""
         predicted = self.network.run(x, radiances, albedos)
         return np.maximum(predicted, np.float32(0.0)).transpose(1, 0, 2)
 

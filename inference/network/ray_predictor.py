@@ -218,7 +218,8 @@ class RayPredictor(Predictor):
         thickness: optical thickness of the cube at the largest density.
         """
         skies = conditions.light.skies
-        ordinates = ordinate_radiance(skies.image)
+        # What is left of even light is solved for anyway.
+        ordinates = ordinate_radiance(skies.image[..., :0] if skies.even else skies.image)
         brightest = max(float(ordinates.max(initial=0.0)), 1e-30)
         key: Hashable = alike(conditions.sigma_hat, brightest), np.round(ordinates / brightest, SAME).tobytes()
         key = key, skies.weights, self.cube.key if skies.vary else b"", conditions.occluders if skies.hidden else b""

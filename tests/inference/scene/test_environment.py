@@ -236,6 +236,16 @@ def test_every_candidate_is_the_radiance_of_even_light():
     assert inputs.shape == (count, features.COLUMNS) and np.isfinite(inputs).all()
 
 
+@pytest.mark.parametrize("albedo, anisotropy", [(1.0, 0.857), (0.7, 0.0)])
+def test_even_light_is_that_of_a_nearly_even_world(albedo, anisotropy):
+    # Of even light the transport is not solved. A speck makes it uneven, which takes the long way.
+    radiance = np.tile(np.float32([0.2, 0.5, 1.0]), (16, 32, 1))
+    even, speck = Environment(radiance), Environment(radiance * (1.0 + 1e-5 * (np.arange(32)[None, :, None] == 7)))
+    assert even.even and not speck.even
+    found, expected = (picture([light], 60.0, albedo, anisotropy).rgb for light in (even, speck))
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 5e-4 * expected.mean() and expected.mean() > 0.05
+
+
 def test_every_network_for_environments_stands_beside_one_for_suns():
     beside = {path.stem for path in (WEIGHTS / FOLDER).glob("*.onnx")}
     assert beside == {name for name in available_models() if abilities(name).every_light} == {"mrpnn"}
