@@ -14,6 +14,7 @@ import numpy as np
 
 from inference import Surface, Velocity
 from inference.baking.light_ahead import light_ahead
+from inference.environments.open_depths import OpenDepths
 from inference.features.final_gather import FinalGather
 from inference.features.mip_lattices import Between
 from inference.grids import working_cube
@@ -318,6 +319,13 @@ def gathering(random: np.random.Generator) -> None:
     gather(spoiled(random, (count, 3)), spoiled(random, (count, 3, 3)))
 
 
+def opened(random: np.random.Generator) -> None:
+    """Depths out of the cube from points anywhere."""
+    n, m, count = int(random.integers(1, 24)), int(random.integers(3, 12)), int(random.integers(1, 100))
+    levels = [spoiled(random, (size, size, size)) for size in (2 * n, n)]
+    OpenDepths(levels, spoiled(random, (50, m, m, m)))(spoiled(random, (count, 3)) - np.float32(0.5))
+
+
 def nearby(random: np.random.Generator) -> None:
     """Light of a lamp nearby at points anywhere."""
     n, count, places = int(random.integers(2, 12)), int(random.integers(1, 40)), int(random.integers(1, 9))
@@ -362,7 +370,7 @@ def products(random: np.random.Generator) -> None:
     layer(spoiled(random, (rows, inner)), spoiled(random, (rows, columns)) if random.integers(2) else None)
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, nearby, scattering, paths, products)
+KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, opened, nearby, scattering, paths, products)
 
 
 def fuzz(path: str, seconds: float, seed: int) -> int:
