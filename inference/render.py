@@ -139,7 +139,8 @@ def _finished_parts(
         layer = compose_layer(framebuffer, (y1 - y0, x1 - x0), camera.exposure, report)
         outputs.complete(layer)
         network = scene.network
-        if scene.uncertainty_network or (network and network.deviation is not None):
+        tells = scene.uncertainty_network or (network and network.deviation is not None)
+        if settings.states_error and tells:
             report.expected_error = expected_error(layer)
         return layer
 
@@ -285,7 +286,7 @@ def prepare_scene(
     environment = uncertainty = None
     if network is not None:
         with report.stage("network loading"):
-            uncertainty = cache.uncertainty_network(network.name, cancel)
+            uncertainty = cache.uncertainty_network(network.name, cancel) if settings.states_error else None
             if plan.from_everywhere:
                 environment = cache.environment_network(settings.model, settings.provider, cancel)
     scene = PreparedScene(

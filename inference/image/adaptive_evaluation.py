@@ -125,7 +125,7 @@ def evaluate_adaptively(
     mean, error = estimate.radiance / divisor, estimate.error / safe
     interpolation_error = np.zeros(len(safe), np.float32)
     evaluated, interpolated = np.zeros((2, len(safe)), bool)
-    report = estimate.report
+    report, settings = estimate.report, estimate.context.settings
     # Samples of a pixel follow each other.
     counts = np.bincount(estimate.pixel[inside], minlength=len(safe))
     starts, filled = np.cumsum(counts) - counts, counts > 0
@@ -142,14 +142,14 @@ def evaluate_adaptively(
     shows = opacity > 0.0
     # Pixels of several rays are joined afterwards, which divides their differences further.
     for stride, least in LEVELS:
-        difference = np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
+        difference = settings.tolerance * np.maximum(least, VOXEL_DIFFERENCE[stride] * voxel / stride)
         squares = Squares(window, stride).of(shows).without(interpolated)
         squares = squares.some(squares.centres(voxel) >= LEAST_VOXEL)
         evaluate(squares.known_pixels() & ~evaluated)
         # Errors are those of the mean over all three channels.
         smooth, centre_error = np.ones(squares.known.shape[1], bool), np.zeros(squares.known.shape[1])
         for part, weight in zip(estimate.smooth_parts(mean), shown):
-            tolerated = difference * np.sqrt(estimate.samples.rays / estimate.context.settings.depth_samples)
+            tolerated = difference * np.sqrt(estimate.samples.rays / settings.depth_samples)
             if masking is not None:
                 own = single.mean(axis=0) + part * weight
                 tolerated = tolerated * np.minimum(1.0 + masking / np.maximum(own, 1e-30), MOST_MASKED)

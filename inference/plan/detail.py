@@ -49,7 +49,10 @@ def coarser_light(members: Sequence[tuple[Volume, Medium]], lamps: bool, camera:
     depth = cell * sum(_peak(*pair) for pair in members)
     # An albedo that varies is held on cells of the first kind.
     kinds = LARGER_CELLS[:1] if any(volume.scattering is not None for volume, _ in members) else LARGER_CELLS
-    return sum(cell * 2**n <= pixels * pixel and depth * 2**n <= most for n, (pixels, most) in enumerate(kinds, 1))
+    return sum(
+        cell * 2**n <= settings.tolerance * pixels * pixel and depth * 2**n <= most
+        for n, (pixels, most) in enumerate(kinds, 1)
+    )
 
 
 def coarser_shadows(volume: Volume, medium: Medium, camera: Camera, settings: Settings) -> int:

@@ -36,6 +36,9 @@ class Settings:
     detail_width: pixels across the picture for which light is resolved, 0 for those of the camera: rough pictures of a
         viewport share the light of the last one.
     blur_rays: rays per pixel that sample the lens, 2 to 256, where the camera has one.
+    tolerance: factor, from 1 to 16, of the errors that adaptive interpolation and larger cells of the coarse transport
+        may cause.
+    states_error: whether the expected error of the layer is computed.
     optimizations: the optimizations in use, names of `optimizations.OPTIMIZATIONS`.
 
     Raises SceneError for values out of range and unknown names.
@@ -55,6 +58,8 @@ class Settings:
     outputs: frozenset[str] = frozenset()
     blur_rays: int = 4
     detail_width: int = 0
+    tolerance: float = 1.0
+    states_error: bool = True
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -76,6 +81,8 @@ class Settings:
             raise SceneError(
                 f"outputs must be among {', '.join(sorted(OUTPUTS))}, not {', '.join(sorted(self.outputs))}"
             )
+        if not 1.0 <= self.tolerance <= 16.0:
+            raise SceneError(f"the tolerance must be from 1 to 16, not {self.tolerance}")
         if not self.memory_limit > 0:
             raise SceneError(f"the memory limit must be above 0, not {self.memory_limit}")
 

@@ -26,6 +26,8 @@ SIDES = {
 }
 # A white matte surface that faces a sun of this irradiance has radiance 1.
 IRRADIANCE = np.pi
+# Interpolating light between six sides errs far more than this makes the maps err.
+TOLERANCE = 4.0
 # Relative differences of colour channels above which a medium is coloured.
 COLOURED = 0.01
 
@@ -71,6 +73,7 @@ def render_tile(
     glows = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in scene.volumes)
     cache, parts = inference.RenderCache(), 2 + glows
     flows = any(volume.velocity is not None for volume, _ in scene.volumes)
+    settings = replace(settings, tolerance=TOLERANCE, states_error=False)
     told = replace(settings, outputs=settings.outputs | {"median"}) if flows else settings
     towards = np.array(list(SIDES.values())) @ camera.world_matrix[:3, :3].T
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference import Camera, Environment, Medium, Settings, Sun, Volume, render
+from inference import Camera, Environment, Medium, SceneError, Settings, Sun, Volume, render
 from inference.image.adaptive_interpolation import FAINT, LEVELS, Guide, Squares, interpolable
 from inference.plan.plan import make_tiles
 from inference.plan.resolution import BAND
@@ -151,6 +151,23 @@ def test_interpolation_saves_predictions_and_keeps_the_picture(close):
     assert error(shared.rgb, many.rgb) < 1.1 * error(every.rgb, many.rgb)
     assert error(shared.rgb, many.rgb) < error(shared.sampling_error, 0.0)
     assert abs((shared.rgb - every.rgb)[shown].mean()) < 0.003 * every.rgb[shown].mean()
+
+
+@pytest.mark.parametrize("tolerance", [0.5, 17.0, np.nan])
+def test_tolerances_out_of_range_are_refused(tolerance):
+    with pytest.raises(SceneError, match="the tolerance must be from 1 to 16"):
+        Settings(tolerance=tolerance)
+
+
+def test_more_pixels_are_interpolated_the_more_error_is_tolerated():
+    scene = [(cloud(), Medium(30.0, 0.9, 0.5))], [SUN], camera(resolution=(66, 66), fov=0.3)
+    whole = replace(Settings(4), optimizations=ALL - {"level_of_detail"})
+    layers = [render(*scene, replace(whole, tolerance=tolerance)) for tolerance in (1.0, 2.0, 4.0)]
+    points = [layer.report.counts["network points"] for layer in layers]
+    assert points == sorted(points, reverse=True) and points[2] < 0.8 * points[0]
+    usual, shown = layers[0], layers[0].alpha > 0.02
+    for layer in layers[1:]:
+        assert np.sqrt(np.mean((layer.rgb - usual.rgb)[shown] ** 2)) < 0.05 * usual.rgb[shown].mean()
 
 
 def test_light_of_an_environment_is_interpolated_where_distances_are_smooth():

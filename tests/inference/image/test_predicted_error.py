@@ -50,6 +50,14 @@ def test_nothing_is_stated_where_nothing_is_predicted():
         assert layer.uncertainty.max() == 0.0 and layer.report.expected_error is None
 
 
+def test_it_is_left_out_where_nobody_asks(usual):
+    """The picture is the same; depth sampling's own error steers what is interpolated."""
+    silent = picture(states_error=False)
+    np.testing.assert_array_equal(silent.rgb, usual.rgb)
+    np.testing.assert_array_equal(silent.sampling_error, usual.sampling_error)
+    assert silent.report.expected_error is None
+
+
 def test_it_grows_outside_the_trained_range_and_a_warning_says_why(usual):
     relative = [usual.uncertainty.sum() / usual.multiple.sum()]
     for g in (0.96, 0.99):

@@ -48,6 +48,9 @@ def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
     dense = Medium(1e5)
     assert coarser_light([(CLOUD, dense)], False, views[-1], SETTINGS) == 0
     assert coarser_shadows(CLOUD, dense, views[-1], SETTINGS) == 0
+    # Where more error is tolerated, larger cells do from nearer.
+    nearer = [coarser_light([(CLOUD, MEDIUM)], False, view, replace(SETTINGS, tolerance=4.0)) for view in views]
+    assert all(far <= near for far, near in zip(light, nearer)) and sum(nearer) > sum(light)
     # A network that knows suns alone has cells of its own.
     assert coarser_light([(CLOUD, MEDIUM)], False, views[-1], replace(SETTINGS, model="paper")) == 0
 
