@@ -56,6 +56,21 @@ class Flow:
         )
         return found.T
 
+    def apparent(self, places: np.ndarray, eyes: np.ndarray) -> np.ndarray:
+        """Velocities float64 (N, 3) at which what eyes see at places (N, 3) moves on, as of `velocities`.
+
+        The velocity u changes from place to place, so that what is seen moves by u / (1 - t du/ds) along u: where the
+        flow slows down, it piles up and hardly moves.
+        """
+        found = self.velocities(places, eyes)
+        step = np.linalg.norm(self.velocity.world_from_index[:3, :3], axis=0).min()
+        speed = np.linalg.norm(found, axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            along = found / np.maximum(speed, 1e-30)[:, None]
+            there = np.einsum("ni,ni->n", self.velocities(places + step * along, eyes), along)
+            slowed = 1.0 - self.times[eyes] * (there - speed) / step
+        return found / np.nan_to_num(np.maximum(slowed, 1.0), nan=1.0)[:, None]
+
     @staticmethod
     def grids_of(velocity: Velocity) -> list[DenseGrid | SparseGrid]:
         """Its components, which instances share."""

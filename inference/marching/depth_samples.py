@@ -161,13 +161,13 @@ class DepthSamples:
         return positions, directions
 
     def velocities(self, samples: np.ndarray, motion: Movement) -> np.ndarray | None:
-        """Velocities float64 (N, 3) in the world of what is at samples and moves so; None where nothing is carried."""
+        """World velocities float64 (N, 3) at which what is seen at samples moves so; None where nothing is carried."""
         if motion.flow is None or self.eyes is None:
             return None
         ray = self.ray[samples]
         eyes = self.eyes[ray]
         places = self.origins[ray] + self.distance[samples, None] * self.directions[ray]
-        return motion.flow.velocities(motion.frame_of(places, eyes), eyes)
+        return motion.flow.apparent(motion.frame_of(places, eyes), eyes)
 
     def share(self, members: Sequence[int]) -> np.ndarray:
         """Fraction float32 (M,) of the extinction at each sample that the member volumes have."""

@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from inference import Camera, Medium, Motion, SceneError, Settings, Shutter, Sun, Velocity, Volume, render
+from inference.grids.bound_medium import Flow
 from inference.scene.sparse_grid import SparseGrid
 
 CELLS, EDGE = 32, 0.4
@@ -180,3 +181,15 @@ def test_what_is_no_velocity_is_refused():
     ):
         with pytest.raises(SceneError, match="velocity"):
             replace(flow, **values)
+
+
+def test_what_piles_up_where_a_flow_ends_hardly_moves():
+    """Beyond the last voxels there is no velocity. Where it is the same around, what is seen moves with it."""
+    flow = velocity((np.full((16, 16, 16), 0.3, np.float32), *np.zeros((2, 16, 16, 16), np.float32)))
+    flow, eyes = Flow(flow, Flow.grids_of(flow), np.array([-0.5, 0.0, 0.5])), np.arange(3)
+    within = flow.apparent(np.zeros((3, 3)), eyes)
+    np.testing.assert_allclose(within, [[0.3, 0.0, 0.0]] * 3, rtol=1e-6)
+    # Just beyond the last voxels.
+    places, eyes = np.array([[0.5 + place / 16, 0.0, 0.0] for place in (0.3, 0.35, 0.4)]) * EDGE, np.full(3, 2)
+    velocities = flow.velocities(places, eyes)
+    assert np.all(velocities[:, 0] > 0.1) and np.all(flow.apparent(places, eyes)[:, 0] < 0.5 * velocities[:, 0])

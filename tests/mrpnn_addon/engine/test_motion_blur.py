@@ -262,3 +262,33 @@ def test_pictures_are_as_blurred_as_in_cycles(addon, motion_scene, tmp_path, mov
     for sharp, blurred in zip(errors[False], errors[True]):
         assert blurred < sharp + 0.04
     assert (motion_scene.frame_current, motion_scene.frame_subframe) == (FRAME, 0.0)
+
+
+@pytest.mark.slow(seconds=90)
+def test_velocities_blur_as_in_cycles_for_every_shutter_and_unit(addon, motion_scene, tmp_path):
+    """Each picture is nearest to Cycles' own picture of it.
+
+    What moves by its own size is lit less alike than it is shown: light is that of the frame.
+    """
+    reference = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
+    flowing(motion_scene, tmp_path)
+    scene, data = motion_scene, motion_scene.objects["Cloud"].data
+    scene.render.resolution_x, scene.render.resolution_y = 48, 36
+    scene.render.motion_blur_shutter, scene.mrpnn.depth_samples = 0.6, 2
+    objects = [shown for shown in scene.objects if shown.type != "CAMERA"]
+    cases, found, tracing = [], [], reference.PathTracing(samples=64, box_filter=True)
+    for position in ("START", "CENTER", "END"):
+        for unit in ("FRAME", "SECOND"):
+            cases.append((position, unit))
+            scene.render.motion_blur_position, data.velocity_unit = cases[-1]
+            data.velocity_scale = 1.0 if unit == "FRAME" else 24.0
+            data.update_tag()
+            halves = reference.render_reference(scene, objects, tracing)
+            found.append((make.rendered(scene, tmp_path), halves.a, halves.b))
+    colours, alpha = (
+        np.array([[error(layer[..., c], (a[..., c], b[..., c])) for _, a, b in found] for layer, *_ in found])
+        for c in (slice(0, 3), slice(3, 4))
+    )
+    print(cases, colours, alpha, sep="\n")
+    assert alpha.diagonal().max() < 0.05 and colours.diagonal().max() < 0.13
+    assert (alpha.argmin(axis=1) == np.arange(len(cases))).all()
