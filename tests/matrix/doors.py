@@ -449,13 +449,14 @@ def flipbook(shot: Shot) -> None:
     assert (scene.frame_current, scene.frame_subframe) == before
     facts = run_command(shot, "flipbook", "--output", str(folder / "command.exr"))
     assert (folder / "maps_motion.exr").exists() == (folder / "command_motion.exr").exists()
-    for name in "AB":
+    for name in ["A", "B"] + ["motion"] * (folder / "maps_motion.exr").exists():
         picture, command = (
             np.stack([read_picture(folder / f"{base}_{name}.exr").channels[letter] for letter in "RGBA"], axis=-1)
             for base in ("maps", "command")
         )
         check_range(name, picture)
-        check_same(f"the command's {name}", command, picture, SAME)
+        # A domain's cache leaves out velocities where there is hardly any smoke.
+        check_same(f"the command's {name}", command, picture, 0.05 if name == "motion" else SAME)
     missing = shot.row["volume"] == "sequence with a gap" and shot.row["placement"] != "overlapping"
     assert facts["frames"][1]["empty"] or not missing
 

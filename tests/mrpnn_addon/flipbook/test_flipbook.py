@@ -280,3 +280,28 @@ def test_motion_vectors_lead_from_each_tile_to_the_next(addon, scene, smoke, tmp
     shown = first > 0.02
     moved, still = (np.sqrt(np.mean((picture - first)[shown] ** 2)) for picture in (back, second))
     assert shown.sum() > 50 and moved < 0.2 * still
+
+
+def test_velocities_of_empty_voxels_move_nothing(addon):
+    """A domain's cache leaves them out, as a simulation does not."""
+    inference = addon.inference
+    density = np.zeros((8, 8, 8), np.float32)
+    density[3:5, 3:5, 3:5] = 1.0
+    matrix = np.diag([1 / 8] * 3 + [1.0])
+    matrix[:3, 3] = 0.5 / 8 - 0.5
+    above = np.eye(4)
+    above[2, 3] = 3.0
+    camera = inference.Camera(above, "orthographic", (16, 16), ortho_scale=1.0)
+    everywhere = np.full((8, 8, 8), 0.25, np.float32)
+    vectors = addon.mrpnn_addon.flipbook.motion_vectors.motion_vectors
+    found = []
+    for part in (everywhere, everywhere * density, np.where(density > 0.0, everywhere, -7.0)):
+        velocity = inference.Velocity((part, 0.0 * part, 0.0 * part), matrix, np.eye(3), (0.0, 1.0))
+        volume = inference.Volume(density, matrix, velocity=velocity)
+        distance = np.full((16, 16), np.inf, np.float32)
+        # Within a voxel of the smoke.
+        distance[5:11, 5:11] = 3.0
+        found.append(vectors(camera, distance, [(volume, inference.Medium(1.0))], 1))
+    np.testing.assert_allclose(found[0][5:11, 5:11, 0], 4.0, rtol=1e-5)
+    for vectors_found in found[1:]:
+        np.testing.assert_allclose(vectors_found, found[0], rtol=1e-5, atol=1e-6)
