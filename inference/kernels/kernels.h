@@ -135,6 +135,9 @@ typedef struct {
     int64_t soft_falloff;
     int64_t cone;            /* whether the sphere shines into a cone: */
     double axis[3], cosine, width;
+    double bound;            /* cosine of the round cone that holds it */
+    int64_t elliptic;        /* whether the cone is round in another frame: */
+    double frame[9], stretch;  /* the latter is the determinant without its sign */
     double corners[12], normal[3], radiance, area;  /* of the quadrilateral */
     double nodes[12], areas[4];  /* of a quadrature over its surface, */
     double far;              /* and the square of the distance from which on it is used */

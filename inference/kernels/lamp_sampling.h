@@ -295,7 +295,15 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
         radius *= sqrt(1.0 - DRAWN_IN * DRAWN_IN * near * near);
         distance = larger(sqrt(dot_of(away, away)), 1e-30);
     }
-    double level = larger(smaller(dot_of(away, emitter->axis) / distance, 1.0), -1.0), tilt = sqrt(1.0 - level * level);
+    double level = dot_of(away, emitter->axis) / distance;
+    if (emitter->elliptic) {
+        double seen[3];
+        for (int k = 0; k < 3; k++) seen[k] = dot_of(emitter->frame + 3 * k, away) / distance;
+        double length = sqrt(dot_of(seen, seen));
+        level = seen[2] / length, radius *= sqrt(emitter->stretch / (length * length * length));
+    }
+    level = larger(smaller(level, 1.0), -1.0);
+    double tilt = sqrt(1.0 - level * level);
     double seen = sqrt(distance * distance + radius * radius), cap = distance / seen, sine = radius / seen;
     if ((level < cap ? level * cap + tilt * sine : 1.0) <= emitter->cosine) return 0.0;
     if ((level > -cap ? level * cap - tilt * sine : -1.0) >= emitter->cosine + emitter->width) return 1.0;
@@ -318,7 +326,7 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
 static inline void lit_interval(const Emitter *emitter, const double *origin, const double *direction, double *lit) {
     lit[0] = -INFINITY, lit[1] = INFINITY;
     if (!emitter->cone) return;
-    double square = emitter->cosine * emitter->cosine, away[3];
+    double square = emitter->bound * emitter->bound, away[3];
     double before = emitter->radius / larger(sqrt(1.0 - square), 1e-9);
     for (int k = 0; k < 3; k++) away[k] = origin[k] - (emitter->centre[k] - emitter->axis[k] * before);
     double level = dot_of(away, emitter->axis), rise = dot_of(direction, emitter->axis), along = dot_of(away, direction);

@@ -64,13 +64,13 @@ static inline void turn_into_cone(const Pass *pass, double *behind, double *pass
     double away[3], direction[3];
     for (int k = 0; k < 3; k++) away[k] = pass->origin[k] + (pass->nearest + *behind) * pass->ray->direction[k];
     double distance = larger(sqrt(dot_of(away, away)), 1e-30), level = dot_of(away, emitter->axis) / distance, tilt = 0.0;
-    if (!(level < emitter->cosine)) return;
+    if (!(level < emitter->bound)) return;
     for (int k = 0; k < 3; k++) {
         away[k] = away[k] / distance - level * emitter->axis[k];
         tilt += away[k] * away[k];
     }
-    double across = sqrt(larger(1.0 - emitter->cosine * emitter->cosine, 0.0)) / larger(sqrt(tilt), 1e-30);
-    for (int k = 0; k < 3; k++) direction[k] = emitter->cosine * emitter->axis[k] + across * away[k];
+    double across = sqrt(larger(1.0 - emitter->bound * emitter->bound, 0.0)) / larger(sqrt(tilt), 1e-30);
+    for (int k = 0; k < 3; k++) direction[k] = emitter->bound * emitter->axis[k] + across * away[k];
     *behind = larger(smaller(dot_of(direction, pass->ray->direction), 1.0), -1.0);
     *passing = 1.0 - *behind * *behind;
 }

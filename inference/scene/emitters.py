@@ -26,6 +26,8 @@ PART = 0.5
 DRAWN_IN = np.sqrt(1.0 - PART**2)
 # Angle of a spread from which on light leaves an area light as from a diffuse surface.
 FULL_SPREAD = np.pi - 1e-4
+# Directions in an elliptic cone whose light adds up to its power.
+CONE_NODES = 4096
 
 
 def light_start(along: np.ndarray, apart: float, radius: float, soft_falloff: bool) -> np.ndarray:
@@ -89,6 +91,10 @@ class SphereEmitter:
         """Power that it emits of a lamp of power 1: within the cone alone, if there is one."""
         if self.cone is None:
             return self.share
+        if self.cone.frame is not None:
+            directions = _cap(self.cone.axis, self.cone.bound, CONE_NODES)
+            share = 0.5 * (1.0 - self.cone.bound)
+            return self.share * share * float(self.cone.passed(directions, np.zeros(CONE_NODES)).mean())
         cosine = np.linspace(-1.0, 1.0, 2001)
         directions = cosine[:, None] * self.cone.axis + np.sqrt(1.0 - cosine**2)[:, None] * _across(self.cone.axis)
         return self.share * float(self.cone.passed(directions, np.zeros(len(cosine))).mean())
@@ -97,7 +103,7 @@ class SphereEmitter:
         """Unit vectors float64 (count, 3), spread evenly over all into which it shines."""
         if self.cone is None:
             return even_directions(count)
-        return _cap(self.cone.axis, self.cone.cosine, count)
+        return _cap(self.cone.axis, self.cone.bound, count)
 
     def fluence(self, points: np.ndarray) -> np.ndarray:
         """Fluence float64 (N,) at world points (N, 3)."""

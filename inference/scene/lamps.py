@@ -111,7 +111,8 @@ class SpotLight(Lamp):
     [0, 1e30]; float64 (3,) once made. The radiant intensity within the cone is power / (4 pi), W/sr, however wide it
     is. angle: full angle of the cone in radians, in (0, pi]. blend: part of the cone, in [0, 1], over which the light
     fades towards its edge, as smoothstep of the cosine. radius: world units. name: for messages. soft_falloff,
-    receivers: as in PointLight.
+    receivers: as in PointLight. frame: (3, 3), from directions in the world to those in which the cone is round, around
+    +Z, and has its angle and its blend; None for a round cone. It must not be singular.
 
     Raises SceneError outside these ranges and for values that are not finite.
     """
@@ -125,6 +126,7 @@ class SpotLight(Lamp):
     name: str = "spot light"
     soft_falloff: bool = False
     receivers: frozenset[str] | None = None
+    frame: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         self.position = _vector(self.position, f"{self.name}: position")
@@ -140,6 +142,10 @@ class SpotLight(Lamp):
         if self.blend > 1.0:
             raise SceneError(f"{self.name}: blend must lie between 0 and 1, not {self.blend:g}")
         self.radius = _not_negative(self.radius, f"{self.name}: radius")
+        if self.frame is not None:
+            self.frame = np.array(self.frame, np.float64)
+            if self.frame.shape != (3, 3) or not 1e-12 < abs(np.linalg.det(self.frame)) < np.inf:
+                raise SceneError(f"{self.name}: frame must be a matrix (3, 3) that is not singular")
 
     @property
     def centre(self) -> np.ndarray:
@@ -148,7 +154,7 @@ class SpotLight(Lamp):
 
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
         """As for PointLight."""
-        cone = SpotCone(self.direction, float(np.cos(0.5 * self.angle)), self.blend)
+        cone = SpotCone(self.direction, float(np.cos(0.5 * self.angle)), self.blend, self.frame)
         sphere = SphereEmitter(self.position, self.position, self.radius, 1.0, cone, self.soft_falloff)
         return _sphere_emitters(sphere, low, high, most)
 

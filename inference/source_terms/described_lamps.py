@@ -25,6 +25,10 @@ def describe_emitter(emitter: Emitter) -> structures.Shared:
             axis=np.float64(cone.axis),
             cosine=cone.cosine,
             width=cone.width,
+            bound=cone.bound,
+            elliptic=cone.frame is not None,
+            frame=np.zeros((3, 3)) if cone.frame is None else cone.frame,
+            stretch=cone.stretch,
             **common,
         )
     half = max(0.5 * emitter.spread, 1e-4)

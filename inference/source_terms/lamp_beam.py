@@ -2,7 +2,7 @@
 """Unscattered light of a lamp in the cells of the coarse transport."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,9 +60,9 @@ class LampInCube:
 
     @property
     def cone(self) -> SpotCone | None:
-        """In which its light travels, in the cube's frame, or None."""
+        """A round one in which its light travels, in the cube's frame, or None."""
         cone = self.emitters[0].cone
-        return None if cone is None else replace(cone, axis=self.cube.directions(cone.axis))
+        return None if cone is None else cone.around(self.cube.directions(cone.axis))
 
     def __call__(
         self, solver: "DiscreteOrdinates | CubeCells", cancel: CancelToken = NEVER
@@ -81,7 +81,7 @@ class LampInCube:
             # Of cells that the cone touches, the middle may lie beside it.
             lit, flat = np.flatnonzero(light), away.reshape(3, -1)
             level = -sum(part * towards[lit] for part, towards in zip(cone.axis, flat))
-            beside = lit[level < cone.cosine]
+            beside = lit[level < cone.bound]
             flat[:, beside] = -cone.turned(-flat[:, beside].T).T
         return light, away
 

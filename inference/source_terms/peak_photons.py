@@ -102,7 +102,7 @@ def _follow(lamp: LampInCells, peak: ForwardPeak, starts: np.ndarray, numbers: n
         closed=None if lamp.closed is None else np.ascontiguousarray(lamp.closed, np.uint8),
         lamp=np.float64(lamp.place),
         axis=np.zeros(3) if lamp.cone is None else np.float64(lamp.cone.axis),
-        cosine=-1.0 if lamp.cone is None else lamp.cone.cosine,
+        cosine=-1.0 if lamp.cone is None else lamp.cone.bound,
         photons=len(starts),
         starts=starts,
         numbers=numbers,

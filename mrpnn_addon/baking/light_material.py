@@ -33,6 +33,10 @@ RAYS = ("Is Camera Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Transmission Ray
 # Light, as it is written, below which nobody sees it.
 DARK = 1e-7
 
+# EEVEE reads 16 grids at most before Blender 5.2, and of materials that read more it shows nothing. With the grids of
+# colours there are 18.
+EEVEE_READS_ALL = bpy.app.version >= (5, 2, 0)
+
 # What drives an input: the output of a node, a number, or three.
 Value = Socket | float | tuple[float, ...]
 
@@ -60,16 +64,31 @@ def light_material(name: str, scale: float, directional: DirectionalFactor | Non
         ray = build.vector("SCALE", geometry.outputs["Incoming"], scale=-1.0)
         baked = _baked_ray(build, geometry, directional.view)
         cosine = None if baked is None else build.vector("DOT_PRODUCT", ray, baked)
-        other = _other(build, ray, baked, cosine, light, directional)
+        logarithm = _logarithm(build, ray, baked, cosine, light, directional)
+        other = build.vector("SCALE", light, scale=build.limited_exponential(logarithm))
         same = 0.0 if cosine is None else build.math("GREATER_THAN", cosine, SAME_DIRECTION)
-        shader = build.mix(same, build.emission(other, strength), shader)
+        grey, shader = shader, build.mix(same, build.emission(other, strength), shader)
+        if directional.colours is not None:
+            turned = ray if baked is None else build.vector("SUBTRACT", ray, baked)
+            coloured = build.mix(same, build.emission(_coloured(build, light, logarithm, turned), strength), grey)
+            if not EEVEE_READS_ALL:
+                _output(build, coloured, "CYCLES")
+                _output(build, shader, "EEVEE")
+                return material
+            shader = coloured
+    _output(build, shader, "ALL")
+    return material
+
+
+def _output(build: "_Nodes", shader: Socket, engine: str) -> None:
+    """What an engine, or all of them, shows to the rays that see the light."""
     rays, seen = build.node("ShaderNodeLightPath"), None
     for ray_kind in RAYS:
         found = rays.outputs[ray_kind]
         seen = found if seen is None else build.math("MAXIMUM", seen, found)
     output = build.node("ShaderNodeOutputMaterial")
+    output.target = engine
     build.link(build.mix(seen, None, shader), output.inputs["Volume"])
-    return material
 
 
 def set_frame(material: "bpy.types.Material", scale: float, directional: DirectionalFactor | None, frame: int) -> None:
@@ -118,7 +137,7 @@ def _shape(directional: DirectionalFactor | None) -> str:
     return repr((kind, numbers, directional.anchors.values.shape[3], directional.colours is not None))
 
 
-def _other(
+def _logarithm(
     build: "_Nodes",
     ray: Value,
     baked: Value,
@@ -126,7 +145,7 @@ def _other(
     light: Value,
     directional: DirectionalFactor,
 ) -> Socket:
-    """The socket of the light along a ray.
+    """The socket of the logarithm of the light along a ray over that along the baked one, mean over the colours.
 
     baked: the baked view's ray, or None. cosine: between both, or None. light: along the baked ray.
     """
@@ -145,9 +164,14 @@ def _other(
         for name, three in zip(names, terms):
             total = build.vector("MULTIPLY_ADD", build.attribute(name), three, total)
         logarithm = build.math("ADD", logarithm, build.vector("DOT_PRODUCT", total, (unit,) * 3))
-    if directional.colours is None:
-        return build.vector("SCALE", light, scale=build.limited_exponential(logarithm))
-    turned = ray if baked is None else build.vector("SUBTRACT", ray, baked)
+    return logarithm
+
+
+def _coloured(build: "_Nodes", light: Value, logarithm: Value, turned: Value) -> Socket:
+    """The socket of the light along a ray, each colour of which changes in its own way.
+
+    logarithm: see `_logarithm`. turned: how much the ray differs from the baked one.
+    """
     slopes = [build.vector("DOT_PRODUCT", build.attribute(name), turned) for name in COLOURS]
     factors = [build.limited_exponential(build.math("ADD", logarithm, slope)) for slope in slopes]
     return build.vector("MULTIPLY", light, build.combine(*factors))

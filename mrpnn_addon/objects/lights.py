@@ -68,6 +68,8 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
         size = (lamp.size, lamp.size if lamp.shape in {"SQUARE", "DISK"} else lamp.size_y)
         if not all(size) or not np.cross(matrix[:3, 0], matrix[:3, 1]).any():
             return None, [*warnings, f"{name} has no area and is left out"]
+        if _is_sheared(matrix):
+            warnings.append(f"{name} is sheared, and Cycles lights it otherwise; apply the scale of its parent")
         # Only its direction counts; a lamp may be flat.
         matrix[:3, 2] = _across(matrix)
         found = AreaLight(matrix, lamp.shape.lower(), size, np.ones(3), lamp.spread, name)
@@ -81,13 +83,20 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
     position = matrix[:3, 3]
     if lamp.type == "POINT":
         return PointLight(position, power, radius, name, soft), warnings
-    if not matrix[:3, 2].any():
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if not abs(np.linalg.det(matrix[:3, :3])) > 1e-9 * np.prod(lengths):
         raise SceneError(f"{name}: it has scale 0 and shines in no direction")
-    # A parent's scale may shear a lamp whose axes stay equally long.
-    lengths = np.linalg.svd(matrix[:3, :3], compute_uv=False)
-    if np.ptp(lengths) > 1e-3 * lengths.max():
-        warnings.append(f"{name} is scaled unevenly; its cone is rendered as round")
-    return SpotLight(position, -matrix[:3, 2], power, lamp.spot_size, lamp.spot_blend, radius, name, soft), warnings
+    # A lamp's cone is round in the lamp's own frame.
+    frame = np.linalg.inv(matrix[:3, :3]) * lengths[2] * [[1.0], [1.0], [-1.0]]
+    even = np.allclose(frame @ frame.T, np.eye(3), atol=1e-3)
+    cone = lamp.spot_size, lamp.spot_blend, radius, name, soft
+    return SpotLight(position, -matrix[:3, 2], power, *cone, frame=None if even else frame), warnings
+
+
+def _is_sheared(matrix: np.ndarray) -> bool:
+    """Whether a matrix' axes, those of length 0 aside, are not at right angles."""
+    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
+    return bool(np.abs(np.triu(axes.T @ axes, 1)).max() > 1e-3)
 
 
 def _across(matrix: np.ndarray) -> np.ndarray:

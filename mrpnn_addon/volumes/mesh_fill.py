@@ -57,7 +57,9 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[]
     # The area vectors of a closed surface sum to 0.
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if max(gaps, np.linalg.norm(areas.sum(axis=0)) / np.linalg.norm(areas, axis=1).sum()) > MAX_GAP:
-        raise SceneError(f"{where}: the mesh is not closed, so it has no inside; close its holes")
+        raise SceneError(
+            f"{where}: the mesh is not closed, so it has no inside; close its holes, of a curve with Bevel > Fill Caps"
+        )
     index = np.eye(4)
     index[:3, :3] = np.diag(size)
     index[:3, 3] = low + size / 2.0

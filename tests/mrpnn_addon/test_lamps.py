@@ -104,6 +104,49 @@ def test_each_kind_becomes_its_light(addon, scene, tmp_path):
         bpy.data.objects.remove(lamp)
 
 
+SCALES = {
+    "wide": (2.0, 1.0, 1.0),
+    "long": (1.0, 1.0, 2.0),
+    "mirrored": (-1.0, 2.0, 0.5),
+    "sheared": (1.0, -2.0, 1.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind, scale",
+    [*[("SPOT", scale) for scale in SCALES], ("POINT", "sheared"), ("SUN", "sheared"), ("AREA", "mirrored")],
+)
+def test_scaled_lamps_light_as_in_cycles(addon, scene, tmp_path, kind, scale):
+    """The cone of a spot is round in the spot's own frame, which its scale and its parents' stretch."""
+    smoke(scene, tmp_path, density=4.0)
+    # Farther away, so that a wide cone has its edge in the smoke.
+    lamp = add_lamp(scene, kind, location=(2.2, -1.5, 1.0))
+    lamp.scale = SCALES[scale]
+    if kind == "SPOT":
+        lamp.data.spot_size, lamp.data.spot_blend, lamp.data.shadow_soft_size = 0.4, 0.2, 0.1
+    if scale == "sheared":
+        lamp.parent = blender_scenes.add_object(scene, "Parent", None)
+        lamp.parent.scale, lamp.parent.rotation_euler = (1.4, 1.0, 0.7), (0.1, 0.2, 0.1)
+    scene.render.resolution_x = scene.render.resolution_y = 48
+    described = read(addon)
+    layer = render(described.volumes, described.lights, described.camera, Settings(16, multiple=False))
+    reference = blender_scenes.render_cycles(scene, tmp_path, samples=64)[..., :3]
+    assert not described.warnings
+    found, expected = (image.reshape(16, 3, 16, 3, 3).mean(axis=(1, 3)) for image in (layer.rgb, reference))
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.03)
+    assert np.abs(found - expected).mean() < 0.08 * expected.mean()
+
+
+def test_a_sheared_area_lamp_is_named(addon, scene, tmp_path):
+    smoke(scene, tmp_path)
+    lamp = add_lamp(scene, "AREA", size=0.5)
+    lamp.parent = blender_scenes.add_object(scene, "Parent", None)
+    lamp.parent.scale = 1.4, 1.0, 0.7
+    [warning] = read(addon).warnings
+    assert '"Lamp" is sheared' in warning
+
+
 def test_scaled_and_turned_area_lamps_keep_their_power(addon, scene, tmp_path):
     smoke(scene, tmp_path)
     lamp = add_lamp(scene, "AREA", size=0.5)

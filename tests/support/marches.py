@@ -81,7 +81,12 @@ def random_lamp(random: np.random.Generator, kind: str) -> Lamp:
     if kind == "soft spot":
         angle, blend, radius = random.uniform(0.2, 3.0), random.random(), random.uniform(0.01, 0.4)
         soft_falloff = random.random() < 0.5
-        return SpotLight(position, random.normal(size=3), 1.0, angle, blend, radius, soft_falloff=soft_falloff)
+        spot = SpotLight(position, random.normal(size=3), 1.0, angle, blend, radius, soft_falloff=soft_falloff)
+        if blend < 0.4:
+            # Round in a frame that stretches directions across its own.
+            across = np.linalg.svd(spot.direction[None])[2][1:] * [[0.5], [1.6]]
+            spot = replace(spot, frame=np.stack([*across, spot.direction]))
+        return spot
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = np.linalg.qr(random.normal(size=(3, 3)))[0], position
     return AreaLight(matrix, kind, random.uniform(0.01, 0.5), 1.0, random.choice([np.pi, 1.0]))

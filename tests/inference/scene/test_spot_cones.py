@@ -110,6 +110,35 @@ def test_rays_are_lit_between_the_ends_of_the_cone_alone(angle, radius):
         assert np.mean(lit != between) < 1e-5
 
 
+FRAMES = {"wide": np.diag([0.5, 1.0, 1.0]), "sheared": np.array([[0.7, 0.3, 0.0], [0.0, 1.5, 0.2], [0.0, 0.0, 1.0]])}
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("angle, blend", [(0.3, 0.0), (1.5, 0.4)])
+def test_an_elliptic_cone_is_round_in_its_frame(frame, angle, blend):
+    """Its light, its power, the rays that it lights, and where its light travels, from the definition."""
+    linear = FRAMES[frame]
+    # The direction that the frame takes to +Z.
+    axis = np.linalg.solve(linear, [0.0, 0.0, 1.0])
+    axis /= np.linalg.norm(axis)
+    lamp = SpotLight((0.1, 0.2, -0.1), axis, 1.0, angle, blend, frame=linear)
+    [part] = lamp.emitters(LOW, HIGH, 1)
+    points = lamp.position + np.random.default_rng(2).normal(size=(200000, 3))
+    directions = points - lamp.position
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    seen = directions @ linear.T
+    edge = np.cos(0.5 * angle)
+    inside = np.clip((seen[:, 2] / np.linalg.norm(seen, axis=1) - edge) / max((1.0 - edge) * blend, 1e-9), 0.0, 1.0)
+    share = inside * inside * (3.0 - 2.0 * inside)
+    bare = PointLight(lamp.position, 1.0).emitters(LOW, HIGH, 1)[0].fluence(points)
+    assert part.fluence(points) == pytest.approx(share * bare, rel=1e-6, abs=1e-12)
+    assert part.power == pytest.approx(share.mean(), rel=0.08)
+    first, last = part.lit_between(np.tile(lamp.position, (len(points), 1)), directions)
+    assert np.all((first <= 1.0) & (last >= 1.0) | (share == 0.0))
+    lit = share > 0.0
+    assert part.light_directions(points)[lit] == pytest.approx(directions[lit])
+
+
 @pytest.mark.slow
 def test_a_beam_narrower_than_steps_shows_no_grain():
     """Single scattering of a beam through even smoke, seen from the side, column by column."""

@@ -187,6 +187,29 @@ def test_materials_have_few_nodes(addon, scene, cloud, tmp_path):
     assert counts[0] <= 150 and counts[1] <= 12
 
 
+def test_eevee_reads_no_more_grids_than_it_can(addon, scene, cloud, tmp_path):
+    """Of a material that reads more, EEVEE shows nothing; light of several colours has the most grids."""
+    lamp = bpy.data.lights.new("Red", "POINT")
+    lamp.energy, lamp.color = 200.0, (1.0, 0.2, 0.1)
+    blender_scenes.add_object(scene, "Red", lamp).location = -1.5, -1.0, 0.5
+    bake(tmp_path)
+    tree = lights()[0].data.materials[0].node_tree
+    assert len(grids_of(tree, "CYCLES")) == 18
+    assert len(grids_of(tree, "EEVEE")) <= (16 if bpy.app.version < (5, 2, 0) else 18)
+
+
+def grids_of(tree, engine):
+    """Names of the grids that an engine's output of a material reads."""
+    names, left, seen = set(), [tree.get_output_node(engine)], set()
+    while left:
+        node = left.pop()
+        if node.name not in seen:
+            seen.add(node.name)
+            names |= {node.attribute_name} if node.type == "ATTRIBUTE" else set()
+            left += [link.from_node for socket in node.inputs for link in socket.links]
+    return names
+
+
 def test_files_are_half_floats_without_empty_voxels(addon, scene, cloud, tmp_path):
     scene.objects["Sun"].data.energy = 1e9
     bake(tmp_path)
