@@ -289,6 +289,5 @@ def test_velocities_blur_as_in_cycles_for_every_shutter_and_unit(addon, motion_s
         np.array([[error(layer[..., c], (a[..., c], b[..., c])) for _, a, b in found] for layer, *_ in found])
         for c in (slice(0, 3), slice(3, 4))
     )
-    print(cases, colours, alpha, sep="\n")
     assert alpha.diagonal().max() < 0.05 and colours.diagonal().max() < 0.13
     assert (alpha.argmin(axis=1) == np.arange(len(cases))).all()
