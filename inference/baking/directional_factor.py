@@ -166,8 +166,12 @@ class DirectionalFactor:
 
 
 def anchor_terms(local: np.ndarray) -> np.ndarray:
-    """What the corrections of a DirectionalFactor multiply: (N, K), for unit directions (N, 3) in a view's frames."""
-    return np.exp(SHARPNESS * (product(local, ANCHORS.T) - 1.0))
+    """What the corrections of a DirectionalFactor multiply: (N, K), for unit directions (N, 3) in a view's frames.
+
+    Of the dtype of the directions.
+    """
+    terms: np.ndarray = np.exp(SHARPNESS * (product(local, ANCHORS.T.astype(local.dtype)) - 1.0))
+    return terms
 
 
 def quadratic_terms(directions: np.ndarray) -> np.ndarray:

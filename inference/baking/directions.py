@@ -235,10 +235,13 @@ class DirectionFit:
         inverse = np.linalg.inv(anchor_terms(ANCHORS))
         corrections = product(residual, inverse)
         # Off the middle, rays of turned cameras are not quite along the anchors.
-        local = [np.einsum("nij,nj->ni", frames, known.along[:, k]) for k in columns]
-        for _ in range(SWEEPS if self.view.position is not None else 0):
-            told = [np.einsum("nk,nk->n", corrections, anchor_terms(rays)) for rays in local]
-            corrections += product(residual - np.stack(told, axis=1), inverse)
+        for start in range(0, len(corrections) if self.view.position is not None else 0, NODES_PER_BATCH):
+            span = slice(start, start + NODES_PER_BATCH)
+            local = np.einsum("nij,nkj->nki", frames[span], known.along[span]).astype(np.float32)
+            terms = anchor_terms(local.reshape(-1, 3)).reshape(len(local), len(columns), -1)
+            for _ in range(SWEEPS):
+                told = np.einsum("nk,nak->na", corrections[span], terms)
+                corrections[span] += product(residual[span] - told, inverse)
         return known.nodes.grid(corrections)
 
     def _turned(self, rotation: np.ndarray) -> BakedView:

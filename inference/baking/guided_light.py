@@ -194,6 +194,8 @@ class LightAtPoints:
             self.grid.spread(filled, one[:, None])[..., 0] / np.float32(max(float(one.mean()), 1e-30))
             for one in arriving
         ]
+        # Guides that are the same along all directions.
+        self._steady = [[one, *(one**power for power in DIFFUSE)] for one in self._unscattered]
         self._order = np.argsort(_morton(self._positions))
 
     def __call__(self, view: BakedView, importance: np.ndarray, most: int) -> np.ndarray:
@@ -220,9 +222,8 @@ class LightAtPoints:
         if near:
             shared += list(ahead[-1])
         found, grey = np.zeros((len(importance), 3), np.float32), np.zeros(self.grid.shape, np.float32)
-        for part, unscattered, arriving in zip(self._light.parts, self._unscattered, ahead):
-            powers = [unscattered**power for power in DIFFUSE]
-            guides = [one.reshape(-1) for one in (unscattered, *powers, *arriving, *shared)]
+        for part, steady, arriving in zip(self._light.parts, self._steady, ahead):
+            guides = [one.reshape(-1) for one in (*steady, *arriving, *shared)]
             light, mean = self._ratio_estimate(part, guides, directions, importance, most)
             found += light
             grey += mean

@@ -108,6 +108,33 @@ def test_updates_add_no_undo_steps(lit):
     assert lit.do(f"print(len({LIGHTS}))") == "1"
 
 
+def test_each_of_two_windows_shows_its_scene(lit):
+    lit.do(
+        "with over(area('VIEW_3D')): bpy.ops.wm.window_new_main()\n"
+        "with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):\n"
+        "    bpy.ops.scene.new(type='FULL_COPY')\n"
+        "first, second = (one.scene for one in bpy.context.window_manager.windows)"
+    )
+    try:
+        assert lit.do("print(first != second and second.mrpnn_live_light)") == "True"
+        both = f"all('up to date' in live.live_status(one)[0] for one in (first, second)) and not {BAKING}"
+        lit.until(both)
+        keys = "print(*(one.mrpnn_light.volumes[0].key for one in (first, second)))"
+        before = lit.do(keys).split()
+        lit.do("next(o for o in second.objects if o.type == 'LIGHT').rotation_euler = 0, -1.0, 0")
+        lit.until(f"second.mrpnn_light.volumes[0].key not in ('{before[1]}', '{before[1]}-coarse') and {both}")
+        assert lit.do(keys).split()[0] == before[0]
+        counts = "print(*(sum('mrpnn_light' in o for o in one.objects) for one in (first, second)))"
+        assert lit.do(counts) == "1 1"
+    finally:
+        lit.do(
+            "second.mrpnn_live_light = False\n"
+            "with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]): bpy.ops.wm.window_close()\n"
+            "bpy.data.scenes.remove(second)"
+        )
+    turned(lit, 0.9)
+
+
 @pytest.mark.newest
 def test_f12_while_live(lit):
     lit.do("scene.render.resolution_percentage = 25; scene.eevee.taa_render_samples = 1; turn(1.3)")
