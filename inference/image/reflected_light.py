@@ -9,8 +9,9 @@ where E is its irradiance by suns, lamps and the sky, behind volumes and other s
 Their scattered light is that of a ball in their middle that shines alike in all directions: the power that they take
 from all light, that of the surfaces included, times the share that leaves them again. Within volumes, the coarse
 transport tells what surfaces receive of suns and sky, and a slab of the volume above throws a part of a surface's own
-light back to it; of lamps they receive half of what the ball gives. Surfaces do not light one another. All places see
-surfaces in the directions in which the middle does, but each place as bright as they are there.
+light back to it; of lamps they receive half of what the ball gives. Surfaces light one another as they are seen from
+the nearest of some viewpoints in the volumes, through such slabs. All places see surfaces in the directions in which
+the middle does, but each place as bright as they are there.
 """
 
 from collections.abc import Sequence
@@ -57,8 +58,8 @@ SLAB = 32
 HIDING = 512
 # Points along an edge of each volume at which a sun's shadows are read.
 LATTICE = 8
-# Times that light between volumes and surfaces is followed.
-ROUNDS = 3
+# Times that light between volumes and surfaces, and from surface to surface, is followed.
+ROUNDS = 12
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def surface_light(
     ball, views = _ball(scene), SurfaceViews(seen, eye, scene.corners)
     within = np.stack([_within(grid, seen) for grid in scene.grids])
     inside = within.any(axis=0)
-    passed, thrown_back = _slabs(scene, seen, within)
+    passed, crossed, thrown_back = _slabs(scene, seen, within)
     irradiance, open_share = _light_within(scene, seen, within, passed, cancel)
     power, lamp_power = np.zeros(3), np.zeros(3)
     form = ball.form(seen)
@@ -131,12 +132,15 @@ def surface_light(
         irradiance += np.where(inside[:, None], open_share * sky, shaded)
         power += ball.area * _open_fluence(plan.environments)
     irradiance += 0.5 * (form * inside)[:, None] * ball.leaving * lamp_power / (4.0 * np.pi)
-    irradiance /= 1.0 - seen.reflectance * thrown_back
-    scattered, returned = power, np.zeros_like(irradiance)
+    returned = np.zeros_like(irradiance)
     for _ in range(ROUNDS):
-        total = irradiance + (form * ~inside)[:, None] * (ball.leaving * scattered / (4.0 * np.pi))
-        returned = seen.reflectance / np.pi * total
-        scattered = power + ball.area * views.fluence(seen.emission + returned)
+        light = seen.emission + returned
+        taken = ball.area * views.fluence(light)
+        # Volumes in front of a surface take light from it, as from that of the sky, and give their own.
+        given = (form * ~inside)[:, None] / (4.0 * np.pi)
+        of_others = np.maximum(crossed * views.irradiance(light) - given * taken, 0.0)
+        total = (irradiance + of_others) / (1.0 - seen.reflectance * thrown_back)
+        returned = seen.reflectance / np.pi * (total + given * ball.leaving * (power + taken))
     emitted = views.environment(seen.emission, "light that surfaces emit")
     return emitted, views.environment(returned, "light that surfaces throw back")
 
@@ -234,12 +238,13 @@ def _light_within(
     return irradiance, share
 
 
-def _slabs(scene: PreparedScene, seen: SeenSurfaces, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shares (P, 3) of even light that reach surfaces through volumes, and of their own that volumes throw back.
+def _slabs(scene: PreparedScene, seen: SeenSurfaces, within: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares (P, 3) of even light that reach surfaces through volumes straight and at all, and of their own that
+    volumes throw back.
 
-    Means over directions, of light that does not turn and of what diffusion reflects from a slab of the optical depth
-    along each, with k^2 = 3 (1 - w) and a = 2 k / 3: (1 - a^2) (exp(k tau) - exp(-k tau)) / d, d = (1 + a)^2 exp(k tau)
-    - (1 - a)^2 exp(-k tau). within: as for `_light_within`; 1 and 0 outside.
+    Means over directions, of light that does not turn and of what diffusion lets through and reflects in a slab of the
+    optical depth along each, with k^2 = 3 (1 - w) and a = 2 k / 3: 4 a / d and (1 - a^2) (exp(k tau) - exp(-k tau)) /
+    d, d = (1 + a)^2 exp(k tau) - (1 - a)^2 exp(-k tau). within: as for `_light_within`; 1, 1 and 0 outside.
     """
     depths = np.zeros((len(SLOPES), len(seen.points), 3))
     absorbing, place = np.zeros_like(depths), (np.arange(SLAB) + 0.5) / SLAB
@@ -261,7 +266,7 @@ def _slabs(scene: PreparedScene, seen: SeenSurfaces, within: np.ndarray) -> tupl
     a, grown = 2.0 * k / 3.0, np.exp(np.minimum(k * depths, 60.0))
     whole = (1.0 + a) ** 2 * grown - (1.0 - a) ** 2 / grown
     returned = np.maximum((1.0 - a * a) * (grown - 1.0 / grown) / whole, 0.0)
-    return np.exp(-depths).mean(axis=0), returned.mean(axis=0)
+    return np.exp(-depths).mean(axis=0), (4.0 * a / whole).mean(axis=0), returned.mean(axis=0)
 
 
 def _turned(medium: Medium, channel: int) -> float:

@@ -33,13 +33,31 @@ class SurfaceViews:
         index = np.full(2 * ROWS * ROWS, -1)
         index[seen.pixel] = np.arange(len(seen.pixel))
         edge = float((self.high - self.low).max())
+        # Of each seen point, the nearest viewpoint, and what a pixel's radiance there adds to the point's irradiance.
+        place = (seen.points - self.low) / np.maximum(self.high - self.low, 1e-30) * (VIEWPOINTS - 1)
+        i, j, k = np.clip(np.round(place), 0, VIEWPOINTS - 1).astype(int).T
+        self._nearest = (i * VIEWPOINTS + j) * VIEWPOINTS + k
         viewpoints = np.concatenate([_before(seen, index, eye, viewpoints, CLEARANCE * edge), eye[None]])
         self.hits = _hits(seen, index, eye, viewpoints, edge)
         self.angles = np.broadcast_to(pixel_solid_angles(VIEW_ROWS), (VIEW_ROWS, 2 * VIEW_ROWS)).ravel()
+        cosines = np.maximum(product(seen.normals, pixel_directions(VIEW_ROWS).reshape(-1, 3).T), 0.0)
+        self._forms = cosines * self.angles
 
     def fluence(self, radiance: np.ndarray) -> np.ndarray:
         """Mean (3,) over the viewpoints of the fluence of surfaces' radiance (P, 3)."""
         return product(self.angles[None], self._image(radiance))[0]
+
+    def irradiance(self, radiance: np.ndarray) -> np.ndarray:
+        """Irradiance (P, 3) of the seen points by surfaces' radiance (P, 3), without what lies in between.
+
+        Each point receives what the viewpoint nearest to it does in the direction of its normal.
+        """
+        received = np.zeros_like(radiance)
+        for viewpoint in np.unique(self._nearest):
+            some = np.flatnonzero(self._nearest == viewpoint)
+            seen = np.stack([_at_hits(channel, self.hits[viewpoint]) for channel in radiance.T], axis=1)
+            received[some] = product(self._forms[some], seen)
+        return received
 
     def environment(self, radiance: np.ndarray, name: str) -> Environment | None:
         """The mean view of a radiance (P, 3), scaled to the fluence at each viewpoint; None if it is black.

@@ -107,6 +107,15 @@ def test_light_of_surfaces_adds_up():
     assert np.abs(alone - together).max() < 0.01 * together.max()
 
 
+@pytest.mark.parametrize("half", [1.5, 0.8, 0.6])
+def test_a_closed_room_is_as_bright_as_its_walls_throw_light_at_one_another(half):
+    # In a furnace all radiance is what walls emit over what they take; smoke that takes nothing is that bright, too.
+    walls = room((-half,) * 3, (half,) * 3, reflectance=0.6, emission=0.2, covers=False)
+    layer = render([(CLOUD, Medium(8.0, 1.0, 0.4))], [], camera(), SETTINGS, None, None, CACHE, [walls])
+    seen = layer.alpha > 0.5
+    assert (layer.rgb[seen] / layer.alpha[seen][:, None]).mean() == pytest.approx(0.2 / (1.0 - 0.6), rel=0.05)
+
+
 def test_ground_reflects_its_colour():
     layer = picture([DOWN], [ground((1.0, 0.5, 0.0))])
     black = picture([DOWN], [ground()])
