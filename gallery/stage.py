@@ -139,6 +139,17 @@ def box(name: str, low, high):
     return mesh(name, corners, faces)
 
 
+def pillar(name: str, foot, radius: float, height: float, sides: int = 16):
+    """A round pillar that stands on a point."""
+    turns = 2 * np.pi * np.arange(sides) / sides
+    rings = [[(radius * np.cos(a), radius * np.sin(a), z) for a in turns] for z in (0.0, height)]
+    around = [(i, (i + 1) % sides, sides + (i + 1) % sides, sides + i) for i in range(sides)]
+    caps = [range(sides)[::-1], range(sides, 2 * sides)]
+    made = mesh(name, rings[0] + rings[1], [*around, *caps], foot)
+    made.data.polygons.foreach_set("use_smooth", [True] * sides + [False] * 2)
+    return made
+
+
 def plane(name: str, half: float, z: float = 0.0):
     """A square on the ground."""
     return mesh(name, [(-half, -half, z), (half, -half, z), (half, half, z), (-half, half, z)], [range(4)])
