@@ -61,8 +61,8 @@ def fog(folder: Path, detail: float):
         stage.material(item.data, "BsdfDiffuse", **STONE)
     air = stage.box("Fog", (-2.99, -6.99, 0.005), (2.99, 8.99, top - 0.01))
     stage.material(air.data, "VolumePrincipled", "Volume", Density=0.048, Color=(0.97, 0.97, 0.97), Anisotropy=0.6)
-    stage.sun((0.2, 1.0, 0.52), 100.0, (1.0, 0.6, 0.28))
-    stage.even_world((0.35, 0.5, 0.8), 1.0)
+    stage.sun((0.2, 1.0, 0.52), 130.0, (1.0, 0.62, 0.32), angle=0.03)
+    stage.backdrop((0.35, 0.5, 0.8), 1.5)
     stage.camera((-0.7, -4.8, 1.3), (0.0, 3.0, 2.25), 56.0)
     return scene
 
@@ -119,20 +119,25 @@ def clear(item, ior: float, colour=(1.0, 1.0, 1.0)) -> None:
 
 
 def milk(folder: Path, detail: float):
-    """Milk that sinks into a tank of water."""
+    """Milk that sinks into a glass of water."""
     scene = stage.new_scene("CYCLES")
     rising = column(4, round(56 * detail), round(62 * detail))
     low, high, voxel = (-0.5, -0.5, 0.0), (0.5, 0.5, 2.0), 0.01 / detail
     path = folder / "milk.vdb"
     stage.write_grids(path, {"density": sample(rising, low, high, voxel)}, low, voxel)
-    cloud, _ = stage.volume(path, (0.0, 0.0, 1.93), Density=70.0, Color=(0.99, 0.98, 0.95), Anisotropy=0.7)
-    cloud.rotation_euler.x, cloud.scale = np.pi, (1.0, 1.0, 0.92)
-    clear(stage.box("Water", (-1.15, -0.6, 0.02), (1.15, 0.6, 1.95)), 1.33, (0.9, 0.96, 1.0))
+    cloud, _ = stage.volume(path, (0.0, 0.0, 1.98), Density=60.0, Color=(0.99, 0.98, 0.95), Anisotropy=0.7)
+    cloud.rotation_euler.x, cloud.scale = np.pi, (1.0, 1.0, 0.95)
+    clear(stage.pillar("Water", (0.0, 0.0, 0.01), 0.85, 2.0, 96), 1.33, (0.92, 0.97, 1.0))
     table = stage.plane("Table", 30.0)
-    stage.material(table.data, "BsdfPrincipled", Base_Color=(0.02, 0.04, 0.07), Roughness=0.3)
-    stage.sun((-0.8, 0.25, 0.8), 9.0, (1.0, 0.93, 0.85), angle=0.05)
-    stage.sky((0.0, (0.02, 0.05, 0.1)), (0.3, (0.04, 0.1, 0.2)), (1.0, (0.2, 0.4, 0.6)))
-    stage.camera((0.0, -4.4, 1.25), (0.0, 0.0, 0.98), 42.0)
+    stage.material(table.data, "BsdfPrincipled", Base_Color=(0.006, 0.007, 0.009), Roughness=0.35)
+    for location, power, colour in (
+        ((-2.9, 2.2, 3.0), 420.0, (1.0, 0.84, 0.66)),
+        ((3.1, 1.8, 2.6), 180.0, (0.5, 0.72, 1.0)),
+    ):
+        strip = stage.lamp("AREA", location, power, colour, shape="RECTANGLE", size=0.8, size_y=2.4)
+        stage.aim(strip, (0.0, 0.0, 1.0))
+    stage.sky((0.0, (0.03, 0.045, 0.07)), (0.25, (0.012, 0.02, 0.04)), (1.0, (0.004, 0.006, 0.012)))
+    stage.camera((0.0, -7.4, 2.2), (0.0, 0.0, 0.98), 31.0)
     return scene
 
 

@@ -45,8 +45,7 @@ SCENES = {
     "milk": Entry(
         "Milk in water",
         rooms.milk,
-        "Baked light alone shows a volume behind a surface that refracts. It lacks the light that the water throws "
-        "back into the milk, which is brighter in Cycles.",
+        "Baked light alone shows a volume behind a surface that refracts.",
     ),
     "nebula": Entry("Nebula", rooms.nebula, "Gas that glows, and dust around three stars."),
 }

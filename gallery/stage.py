@@ -85,6 +85,16 @@ def even_world(colour, strength: float = 1.0) -> None:
     inputs["Color"].default_value, inputs["Strength"].default_value = (*colour, 1.0), strength
 
 
+def backdrop(colour, strength: float = 1.0) -> None:
+    """A World of one colour that the camera sees and that lights nothing."""
+    even_world(colour, strength)
+    tree = bpy.context.scene.world.node_tree
+    rays, factor = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMath")
+    factor.operation, factor.inputs[1].default_value = "MULTIPLY", strength
+    tree.links.new(rays.outputs["Is Camera Ray"], factor.inputs[0])
+    tree.links.new(factor.outputs[0], tree.nodes["Background"].inputs["Strength"])
+
+
 def material(data, kind: str, socket: str = "Surface", **inputs):
     """A material of one shader; inputs: of its sockets, spaces as underscores. Gives the shader's node."""
     made = bpy.data.materials.new(data.name)
