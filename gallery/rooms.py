@@ -68,7 +68,7 @@ def fog(folder: Path, detail: float):
 
 
 def lights(folder: Path, detail: float):
-    """A stage in haze, with coloured spots."""
+    """A stage in haze, with coloured spots, seen from among the audience."""
     scene = stage.new_scene()
     floor = stage.box("Stage", (-5.0, -4.0, -0.3), (5.0, 3.0, 0.0))
     stage.material(floor.data, "BsdfPrincipled", Base_Color=(0.02, 0.02, 0.022), Roughness=0.25)
@@ -82,6 +82,11 @@ def lights(folder: Path, detail: float):
         stage.box("Speaker left", (-4.2, 0.4, 0.0), (-3.3, 1.2, 2.1)),
         stage.box("Speaker right", (3.3, 0.4, 0.0), (4.2, 1.2, 2.1)),
     ]
+    rng = np.random.default_rng(4)
+    for number, x in enumerate(np.arange(-2.1, 2.2, 0.42)):
+        x, y, z = x + rng.uniform(-0.08, 0.08), rng.uniform(-5.2, -4.5), rng.uniform(0.72, 0.86)
+        parts.append(stage.ball(f"Head {number}", (x, y, z), (0.085, 0.1, 0.12)))
+        parts.append(stage.ball(f"Shoulders {number}", (x, y, z - 0.33), (0.24, 0.13, 0.2)))
     for part in parts:
         stage.material(part.data, "BsdfPrincipled", Base_Color=(0.03, 0.03, 0.03), Roughness=0.4)
     air = stage.box("Haze", (-4.9, -3.9, 0.005), (4.9, 2.99, 4.5))
@@ -97,7 +102,7 @@ def lights(folder: Path, detail: float):
         (3.6, (1.6, 0.4, 0.0), 0),
         (0.0, (0.0, 0.8, 0.5), 3),
     ):
-        spot = stage.lamp("SPOT", (x, 1.4, 3.95), 2600.0, colours[colour], **cone)
+        spot = stage.lamp("SPOT", (x, 1.4, 3.95), 5200.0, colours[colour], **cone)
         stage.aim(spot, target)
     stage.even_world((0.002, 0.002, 0.004))
     stage.camera((0.0, -7.5, 1.3), (0.0, 0.5, 1.85), 56.0)

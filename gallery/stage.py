@@ -160,6 +160,23 @@ def pillar(name: str, foot, radius: float, height: float, sides: int = 16):
     return made
 
 
+def ball(name: str, middle, half, rings: int = 12):
+    """An ellipsoid; half: its half axes (3,)."""
+    around = 2 * rings
+    heights, turns = np.pi * np.arange(1, rings) / rings, 2 * np.pi * np.arange(around) / around
+    points = [(np.sin(h) * np.cos(t), np.sin(h) * np.sin(t), np.cos(h)) for h in heights for t in turns]
+    last = len(points) - around
+    faces = [
+        (row + i, row + around + i, row + around + (i + 1) % around, row + (i + 1) % around)
+        for row in range(0, last, around)
+        for i in range(around)
+    ]
+    faces += [range(around), range(last + around - 1, last - 1, -1)]
+    made = mesh(name, np.array(points) * np.asarray(half), faces, middle)
+    made.data.polygons.foreach_set("use_smooth", [True] * len(faces))
+    return made
+
+
 def plane(name: str, half: float, z: float = 0.0):
     """A square on the ground."""
     return mesh(name, [(-half, -half, z), (half, -half, z), (half, half, z), (-half, half, z)], [range(4)])
