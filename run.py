@@ -66,7 +66,7 @@ def main() -> int:
     requirements, command = COMMANDS[sys.argv[1]]
     try:
         install(requirements)
-        # Here, so that no timed render waits for the compiler. Where it fails numpy does the same work, and says so.
+        # Here, so that no timed render waits for the compiler. Where it fails, the first render says what to do.
         subprocess.run([PYTHON, "-m", "inference.kernels"], cwd=ROOT, stdout=subprocess.DEVNULL)
     except subprocess.CalledProcessError as error:
         print(f"Installing {requirements} failed; see pip's message above")

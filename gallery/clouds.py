@@ -43,8 +43,8 @@ def dusk(folder: Path, detail: float):
     """The cumulus over a calm sea, lit from low at the side."""
     scene = stage.new_scene("CYCLES")
     cloud, _ = stage.volume(fair_weather(folder, 0.015 / detail), Density=90.0, Color=(1.0, 1.0, 1.0), Anisotropy=0.8)
-    cloud.location, cloud.rotation_euler.z = (0.0, 1.5, 0.75), 0.5
-    stage.sun((0.95, 0.55, 0.2), 9.0, (1.0, 0.5, 0.22))
+    cloud.location, cloud.rotation_euler.z = (0.3, 4.0, 0.2), 0.5
+    stage.sun((0.95, 0.4, 0.14), 12.0, (1.0, 0.42, 0.15))
     stage.sky(
         (0.0, (0.85, 0.36, 0.16)),
         (0.06, (0.6, 0.3, 0.26)),
@@ -54,9 +54,9 @@ def dusk(folder: Path, detail: float):
         strength=0.8,
     )
     water = stage.plane("Sea", 60.0)
-    shader = stage.material(water.data, "BsdfPrincipled", Base_Color=(0.005, 0.015, 0.025), Roughness=0.05, IOR=1.33)
-    stage.ripples(shader, scale=2.2, height=0.05)
-    stage.camera((-0.4, -5.0, 0.4), (-0.05, 1.5, 1.3), 44.0)
+    shader = stage.material(water.data, "BsdfPrincipled", Base_Color=(0.005, 0.015, 0.025), Roughness=0.02, IOR=1.33)
+    stage.ripples(shader, scale=1.6, height=0.03)
+    stage.camera((-0.2, -5.0, 0.5), (0.0, 4.0, 0.72), 34.0)
     return scene
 
 

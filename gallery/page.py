@@ -15,9 +15,10 @@ PICTURE_SECONDS, SAMPLES = "picture's seconds", "Cycles' samples"
 MEASURED = ("seconds", "Cycles' seconds", SAMPLES, "error", "Cycles' error", "reference's samples")
 COLUMNS = ("scene", "way", "pixels", PICTURE_SECONDS, *MEASURED, "made by")
 QUALITY = 88
-#: README's pictures in their order, the size of each and how many are side by side; and the steps of the workflow.
-SHEET = "storm", "dusk", "nebula", "inside", "milk", "stage", "fire", "fog", "noon", "explosion", "plume"
-TILE, COLUMNS_SHOWN = (400, 225), 3
+#: README's first picture: a large one, and two beside it. Below are all others: the size of each, how many in a row.
+FIRST, FIRST_HEIGHT, GAP = ("dusk", "fog", "storm"), 484, 4
+TILE, COLUMNS_SHOWN = (320, 180), 4
+#: The steps of the workflow.
 STEPS = {
     "engine-menu": "1. Choose the engine",
     "panel": "2. Check",
@@ -31,10 +32,18 @@ WAYS = {
 }
 HEAD = """# Gallery
 
-Eleven scenes of the kinds that artists light: use them as a start, or to see what a setting does.
+Eleven scenes of the kinds that artists light: start from them, or see what a setting does.
 
-Releases have all of them in a zip whose name begins with `mrpnn-gallery`. Install [the extension](install.md) first.
-Then install this zip from the menu of the Blender icon: *Install Application Template*. *File > New* lists the scenes.
+## Get the scenes
+
+1. [Install the extension](install.md) and enable it. Most of the scenes use its engine.
+2. Take the zip whose name begins with `mrpnn-gallery` from a release. It fits all platforms and Blender 4.2 to 5.2.
+3. In the menu of the Blender icon, choose *Install Application Template* and this zip.
+4. *File > New* now lists the scenes, such as *Volumes Cumulus at noon*. Render it as its entry below says.
+
+A saved scene reads its volumes from the template's folder. Copy them from there before another machine renders it.
+
+## Make the scenes
 
 Scripts make the volumes and the .blend files. In a clone of the repository:
 
@@ -43,10 +52,11 @@ Scripts make the volumes and the .blend files. In a clone of the repository:
 
 The first command makes one scene and its picture, in `build/gallery`. The second makes `mrpnn-gallery.zip` there.
 
+## The pictures
+
 The smaller pictures compare with Cycles with 1024 bounces, denoised, in about the same processor seconds. Cycles has at
 least one sample per pixel, even where that takes longer. Errors are relative RMSE over the whole picture, in
-scene-linear values, against a longer render by Cycles without denoising. They include the blur of edges by Cycles'
-pixel filter, which the extension lacks. In thin fog, in haze and in the milk, Cycles has the smaller error.
+scene-linear values, against a longer render by Cycles without denoising.
 """
 
 
@@ -71,7 +81,7 @@ def text() -> str:
         pixels = row["pixels"].replace("x", "×")
         said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row[PICTURE_SECONDS]}"
         parts.append(
-            f"## {entry.title}\n\n![{entry.title}](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
+            f"### {entry.title}\n\n![{entry.title}](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
         )
         if row["seconds"]:
             samples = f"{row[SAMPLES]} sample"
@@ -87,16 +97,29 @@ def text() -> str:
 
 
 def sheet() -> Image.Image:
-    """The pictures that the docs hold, side by side in rows, but for SHEET's last that do not fill one."""
-    shown = [PICTURES / f"{name}.jpg" for name in SHEET if (PICTURES / f"{name}.jpg").exists()]
-    rows = len(shown) // COLUMNS_SHOWN
-    (width, height), gap = TILE, 4
-    made = Image.new("RGB", (COLUMNS_SHOWN * (width + gap) - gap, rows * (height + gap) - gap))
-    for number, path in enumerate(shown[: rows * COLUMNS_SHOWN]):
-        with Image.open(path) as image:
-            tile = image.resize(TILE, Image.LANCZOS)
-        made.paste(tile, (number % COLUMNS_SHOWN * (width + gap), number // COLUMNS_SHOWN * (height + gap)))
+    """The pictures that the docs hold but FIRST, side by side in rows."""
+    paths = [PICTURES / f"{name}.jpg" for name in SCENES if name not in FIRST]
+    width, height = TILE[0] + GAP, TILE[1] + GAP
+    made = Image.new("RGB", (COLUMNS_SHOWN * width - GAP, -(-len(paths) // COLUMNS_SHOWN) * height - GAP))
+    for number, path in enumerate(paths):
+        made.paste(_resized(path, TILE), (number % COLUMNS_SHOWN * width, number // COLUMNS_SHOWN * height))
     return made
+
+
+def hero() -> Image.Image:
+    """A picture, and two smaller ones one above the other, all of 16 by 9."""
+    paths, small = [PICTURES / f"{name}.jpg" for name in FIRST], (FIRST_HEIGHT - GAP) // 2
+    widths = [round(height * 16 / 9) for height in (FIRST_HEIGHT, small)]
+    made = Image.new("RGB", (widths[0] + GAP + widths[1], FIRST_HEIGHT))
+    made.paste(_resized(paths[0], (widths[0], FIRST_HEIGHT)))
+    for number, path in enumerate(paths[1:]):
+        made.paste(_resized(path, (widths[1], small)), (widths[0] + GAP, number * (small + GAP)))
+    return made
+
+
+def _resized(path: Path, size: tuple[int, int]) -> Image.Image:
+    with Image.open(path) as image:
+        return image.resize(size, Image.LANCZOS)
 
 
 def steps() -> Image.Image:
@@ -114,5 +137,6 @@ def steps() -> Image.Image:
 def write() -> None:
     """Write the page, and the pictures of README that are made of others."""
     replace(PAGE, text())
+    hero().save(IMAGES / "hero.jpg", quality=QUALITY, optimize=True)
     sheet().save(IMAGES / "gallery.jpg", quality=QUALITY, optimize=True)
     steps().save(IMAGES / "workflow.jpg", quality=QUALITY, optimize=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fog in a hall, a stage with lamps, milk in water, and a nebula."""
+"""Fog in a church, a stage with lamps, milk in water, and a nebula."""
 
 from pathlib import Path
 
@@ -11,36 +11,64 @@ from . import stage
 from .fields import ramp, sample
 from .smoke import column
 
-STONE = dict(Color=(0.32, 0.29, 0.25))
+STONE = dict(Color=(0.25, 0.21, 0.17))
+
+
+def arch(name: str, x: float, half: float, spring: float, top: float, y: tuple[float, float]) -> list:
+    """What closes a wall above a window with a pointed arch: prisms from y[0] to y[1], up to the height `top`.
+
+    x: the window's middle; half: half its width; spring: height at which the arch begins.
+    """
+    angles = np.linspace(0, np.pi / 3, 7)
+    # Each side is an arc around the foot of the other side.
+    side = np.stack([half - 2 * half * np.cos(angles), spring + 2 * half * np.sin(angles)], axis=1)
+    outline = np.concatenate([side, side[-2::-1] * (-1, 1)])
+    faces = ((0, 1, 2, 3), (7, 6, 5, 4), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0))
+    made = []
+    for number, ((u, z), (v, w)) in enumerate(zip(outline, outline[1:])):
+        section = ((u, z), (v, w), (v, top), (u, top))
+        vertices = [(x + across, depth, height) for depth in y for across, height in section]
+        made.append(stage.mesh(f"{name} {number}", vertices, faces))
+    return made
 
 
 def fog(folder: Path, detail: float):
-    """A hall whose windows let the sun into the fog."""
+    """A nave in fog, with the sun behind three windows at its end."""
     scene = stage.new_scene()
+    top, end = 6.5, (9.0, 9.25)
     built = [
-        stage.box("Floor", (-2.2, -6.0, -0.2), (2.2, 6.2, 0.0)),
-        stage.box("Ceiling", (-2.2, -6.0, 4.0), (2.2, 6.2, 4.2)),
-        stage.box("Right wall", (2.0, -6.0, 0.0), (2.2, 6.2, 4.0)),
-        stage.box("Back wall", (-2.2, 6.0, 0.0), (2.2, 6.2, 4.0)),
-        stage.box("Parapet", (-2.3, -6.0, 0.0), (-2.0, 6.0, 1.0)),
-        stage.box("Lintel", (-2.3, -6.0, 3.4), (-2.0, 6.0, 4.0)),
+        stage.box("Floor", (-3.2, -7.2, -0.2), (3.2, 9.25, 0.0)),
+        stage.box("Ceiling", (-3.2, -7.2, top), (3.2, 9.25, top + 0.2)),
+        stage.box("Left wall", (-3.2, -7.2, 0.0), (-3.0, 9.25, top)),
+        stage.box("Right wall", (3.0, -7.2, 0.0), (3.2, 9.25, top)),
+        stage.box("Front wall", (-3.2, -7.2, -0.2), (3.2, -7.0, top)),
+        stage.box("Parapet", (-3.0, end[0], 0.0), (3.0, end[1], 1.7)),
+        stage.box("Steps", (-1.6, 5.6, 0.0), (1.6, 8.4, 0.16)),
+        stage.box("Altar", (-0.65, 6.6, 0.16), (0.65, 7.2, 1.0)),
     ]
-    for number, y in enumerate(np.arange(-6.0, 6.0, 1.5)):
-        built.append(stage.box(f"Pier {number}", (-2.3, y, 1.0), (-2.0, y + 0.8, 3.4)))
-        built.append(stage.box(f"Column {number}", (-1.55, y + 0.3, 0.0), (-1.35, y + 0.5, 4.0)))
-        built.append(stage.box(f"Column right {number}", (1.35, y + 0.3, 0.0), (1.55, y + 0.5, 4.0)))
+    # The windows: middle, half the width, height at which the arch begins.
+    windows, left = ((-1.35, 0.36, 3.6), (0.0, 0.46, 4.4), (1.35, 0.36, 3.6)), -3.0
+    for number, (x, half, spring) in enumerate(windows):
+        built.append(stage.box(f"Pier {number}", (left, end[0], 1.7), (x - half, end[1], top)))
+        built += arch(f"Arch {number}", x, half, spring, top, end)
+        left = x + half
+    built.append(stage.box("Pier", (left, end[0], 1.7), (3.0, end[1], top)))
+    for y in np.arange(-4.0, 8.0, 2.4):
+        for side in (-2.1, 2.1):
+            built.append(stage.pillar(f"Column {side} {y:.1f}", (side, y, 0.0), 0.2, top))
+            built.append(stage.box(f"Base {side} {y:.1f}", (side - 0.3, y - 0.3, 0.0), (side + 0.3, y + 0.3, 0.3)))
     for item in built:
         stage.material(item.data, "BsdfDiffuse", **STONE)
-    air = stage.box("Fog", (-1.99, -5.9, 0.005), (1.99, 5.99, 3.99))
-    stage.material(air.data, "VolumePrincipled", "Volume", Density=0.13, Color=(0.95, 0.95, 0.95), Anisotropy=0.55)
-    stage.sun((-1.0, 0.55, 0.8), 75.0, (1.0, 0.8, 0.55))
-    stage.even_world((0.35, 0.5, 0.8), 0.7)
-    stage.camera((0.8, -4.6, 1.2), (-0.45, 2.0, 1.7), 66.0)
+    air = stage.box("Fog", (-2.99, -6.99, 0.005), (2.99, 8.99, top - 0.01))
+    stage.material(air.data, "VolumePrincipled", "Volume", Density=0.048, Color=(0.97, 0.97, 0.97), Anisotropy=0.6)
+    stage.sun((0.2, 1.0, 0.52), 130.0, (1.0, 0.62, 0.32), angle=0.03)
+    stage.backdrop((0.35, 0.5, 0.8), 1.5)
+    stage.camera((-0.7, -4.8, 1.3), (0.0, 3.0, 2.25), 56.0)
     return scene
 
 
 def lights(folder: Path, detail: float):
-    """A stage in haze, with coloured spots."""
+    """A stage in haze, with coloured spots, seen from among the audience."""
     scene = stage.new_scene()
     floor = stage.box("Stage", (-5.0, -4.0, -0.3), (5.0, 3.0, 0.0))
     stage.material(floor.data, "BsdfPrincipled", Base_Color=(0.02, 0.02, 0.022), Roughness=0.25)
@@ -54,6 +82,11 @@ def lights(folder: Path, detail: float):
         stage.box("Speaker left", (-4.2, 0.4, 0.0), (-3.3, 1.2, 2.1)),
         stage.box("Speaker right", (3.3, 0.4, 0.0), (4.2, 1.2, 2.1)),
     ]
+    rng = np.random.default_rng(4)
+    for number, x in enumerate(np.arange(-2.1, 2.2, 0.42)):
+        x, y, z = x + rng.uniform(-0.08, 0.08), rng.uniform(-5.2, -4.5), rng.uniform(0.72, 0.86)
+        parts.append(stage.ball(f"Head {number}", (x, y, z), (0.085, 0.1, 0.12)))
+        parts.append(stage.ball(f"Shoulders {number}", (x, y, z - 0.33), (0.24, 0.13, 0.2)))
     for part in parts:
         stage.material(part.data, "BsdfPrincipled", Base_Color=(0.03, 0.03, 0.03), Roughness=0.4)
     air = stage.box("Haze", (-4.9, -3.9, 0.005), (4.9, 2.99, 4.5))
@@ -69,7 +102,7 @@ def lights(folder: Path, detail: float):
         (3.6, (1.6, 0.4, 0.0), 0),
         (0.0, (0.0, 0.8, 0.5), 3),
     ):
-        spot = stage.lamp("SPOT", (x, 1.4, 3.95), 2600.0, colours[colour], **cone)
+        spot = stage.lamp("SPOT", (x, 1.4, 3.95), 5200.0, colours[colour], **cone)
         stage.aim(spot, target)
     stage.even_world((0.002, 0.002, 0.004))
     stage.camera((0.0, -7.5, 1.3), (0.0, 0.5, 1.85), 56.0)
@@ -91,20 +124,25 @@ def clear(item, ior: float, colour=(1.0, 1.0, 1.0)) -> None:
 
 
 def milk(folder: Path, detail: float):
-    """Milk that sinks into a tank of water."""
+    """Milk that sinks into a glass of water."""
     scene = stage.new_scene("CYCLES")
     rising = column(4, round(56 * detail), round(62 * detail))
     low, high, voxel = (-0.5, -0.5, 0.0), (0.5, 0.5, 2.0), 0.01 / detail
     path = folder / "milk.vdb"
     stage.write_grids(path, {"density": sample(rising, low, high, voxel)}, low, voxel)
-    cloud, _ = stage.volume(path, (0.0, 0.0, 1.93), Density=70.0, Color=(0.99, 0.98, 0.95), Anisotropy=0.7)
-    cloud.rotation_euler.x, cloud.scale = np.pi, (1.0, 1.0, 0.92)
-    clear(stage.box("Water", (-1.15, -0.6, 0.02), (1.15, 0.6, 1.95)), 1.33, (0.9, 0.96, 1.0))
+    cloud, _ = stage.volume(path, (0.0, 0.0, 1.98), Density=60.0, Color=(0.99, 0.98, 0.95), Anisotropy=0.7)
+    cloud.rotation_euler.x, cloud.scale = np.pi, (1.0, 1.0, 0.95)
+    clear(stage.pillar("Water", (0.0, 0.0, 0.01), 0.85, 2.0, 96), 1.33, (0.92, 0.97, 1.0))
     table = stage.plane("Table", 30.0)
-    stage.material(table.data, "BsdfPrincipled", Base_Color=(0.02, 0.04, 0.07), Roughness=0.3)
-    stage.sun((-0.8, 0.25, 0.8), 9.0, (1.0, 0.93, 0.85), angle=0.05)
-    stage.sky((0.0, (0.02, 0.05, 0.1)), (0.3, (0.04, 0.1, 0.2)), (1.0, (0.2, 0.4, 0.6)))
-    stage.camera((0.0, -4.4, 1.25), (0.0, 0.0, 0.98), 42.0)
+    stage.material(table.data, "BsdfPrincipled", Base_Color=(0.006, 0.007, 0.009), Roughness=0.35)
+    for location, power, colour in (
+        ((-2.9, 2.2, 3.0), 420.0, (1.0, 0.84, 0.66)),
+        ((3.1, 1.8, 2.6), 180.0, (0.5, 0.72, 1.0)),
+    ):
+        strip = stage.lamp("AREA", location, power, colour, shape="RECTANGLE", size=0.8, size_y=2.4)
+        stage.aim(strip, (0.0, 0.0, 1.0))
+    stage.sky((0.0, (0.03, 0.045, 0.07)), (0.25, (0.012, 0.02, 0.04)), (1.0, (0.004, 0.006, 0.012)))
+    stage.camera((0.0, -7.4, 2.2), (0.0, 0.0, 0.98), 31.0)
     return scene
 
 

@@ -36,7 +36,7 @@ SCENES = {
     ),
     "fire": Entry("Fire", smoke.fire, "A grid of temperatures makes the fire glow. Its light scatters in the smoke."),
     "explosion": Entry("Explosion", smoke.explosion, "A sequence of 24 files: render it as an animation."),
-    "fog": Entry("Fog in a hall", rooms.fog, "Walls shade the fog. Composite over Cycles renders them."),
+    "fog": Entry("Fog in a church", rooms.fog, "Walls shade the fog and light it. Composite over Cycles renders them."),
     "stage": Entry(
         "Stage",
         rooms.lights,
@@ -45,8 +45,7 @@ SCENES = {
     "milk": Entry(
         "Milk in water",
         rooms.milk,
-        "Baked light alone shows a volume behind a surface that refracts. It lacks the light that the water throws "
-        "back into the milk, which is brighter in Cycles.",
+        "Baked light alone shows a volume behind a surface that refracts. Cycles alone errs less here.",
     ),
     "nebula": Entry("Nebula", rooms.nebula, "Gas that glows, and dust around three stars."),
 }

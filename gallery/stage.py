@@ -85,6 +85,16 @@ def even_world(colour, strength: float = 1.0) -> None:
     inputs["Color"].default_value, inputs["Strength"].default_value = (*colour, 1.0), strength
 
 
+def backdrop(colour, strength: float = 1.0) -> None:
+    """A World of one colour that the camera sees and that lights nothing."""
+    even_world(colour, strength)
+    tree = bpy.context.scene.world.node_tree
+    rays, factor = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMath")
+    factor.operation, factor.inputs[1].default_value = "MULTIPLY", strength
+    tree.links.new(rays.outputs["Is Camera Ray"], factor.inputs[0])
+    tree.links.new(factor.outputs[0], tree.nodes["Background"].inputs["Strength"])
+
+
 def material(data, kind: str, socket: str = "Surface", **inputs):
     """A material of one shader; inputs: of its sockets, spaces as underscores. Gives the shader's node."""
     made = bpy.data.materials.new(data.name)
@@ -137,6 +147,34 @@ def box(name: str, low, high):
     corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     faces = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     return mesh(name, corners, faces)
+
+
+def pillar(name: str, foot, radius: float, height: float, sides: int = 16):
+    """A round pillar that stands on a point."""
+    turns = 2 * np.pi * np.arange(sides) / sides
+    rings = [[(radius * np.cos(a), radius * np.sin(a), z) for a in turns] for z in (0.0, height)]
+    around = [(i, (i + 1) % sides, sides + (i + 1) % sides, sides + i) for i in range(sides)]
+    caps = [range(sides)[::-1], range(sides, 2 * sides)]
+    made = mesh(name, rings[0] + rings[1], [*around, *caps], foot)
+    made.data.polygons.foreach_set("use_smooth", [True] * sides + [False] * 2)
+    return made
+
+
+def ball(name: str, middle, half, rings: int = 12):
+    """An ellipsoid; half: its half axes (3,)."""
+    around = 2 * rings
+    heights, turns = np.pi * np.arange(1, rings) / rings, 2 * np.pi * np.arange(around) / around
+    points = [(np.sin(h) * np.cos(t), np.sin(h) * np.sin(t), np.cos(h)) for h in heights for t in turns]
+    last = len(points) - around
+    faces = [
+        (row + i, row + around + i, row + around + (i + 1) % around, row + (i + 1) % around)
+        for row in range(0, last, around)
+        for i in range(around)
+    ]
+    faces += [range(around), range(last + around - 1, last - 1, -1)]
+    made = mesh(name, np.array(points) * np.asarray(half), faces, middle)
+    made.data.polygons.foreach_set("use_smooth", [True] * len(faces))
+    return made
 
 
 def plane(name: str, half: float, z: float = 0.0):

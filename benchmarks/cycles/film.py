@@ -226,16 +226,13 @@ def page(found, options) -> str:
     ]
     lines += [
         "",
-        f"From frame to frame, a pixel changes by {found['flicker']['beyond a converged layer']:.2%} more than in a",
-        f"layer of {CONVERGED} depth samples without any approximation. This is the root mean square over the mean, at "
+        f"**Flicker.** From frame to frame, motion changes a pixel by {found['flicker']['the film itself']:.1%}, and",
+        f"flicker by {found['flicker']['beyond a converged layer']:.2%}. Flicker is the change of the difference from",
+        f"a layer of {CONVERGED} depth samples without any approximation. Both are root mean squares over the mean, at",
         f"{options.flicker_scale} % of the size.",
-        f"The film itself changes by {found['flicker']['the film itself']:.1%}.",
-    ]
-    lines += [
         "",
-        "The last table shows by how much a frame changes when nothing visible changes, as root mean square over its",
-        "mean. *Again* is a second render. In the other rows, the grid has an almost empty voxel more, as that of a",
-        "growing cloud has.",
+        "The table has the change of a frame in which nothing visible changes. *Again* is the same render twice. In",
+        "the other rows, the grid is longer by one almost empty voxel, as a cloud that grows makes it.",
         "",
         "| | change |",
         "|---|---|",

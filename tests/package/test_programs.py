@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.ndimage import map_coordinates
 
+from packages import release
 from tests.support.programs import BLENDERS, MARKS
 
 pytestmark = MARKS
@@ -26,6 +28,45 @@ def test_an_animation_from_the_command_line(program):
     # Blender's statistics line, with what is at work and how far it is.
     assert re.search(r"scattering, \d+%\s*$", run.stdout, re.MULTILINE), run.stdout
     assert run.stdout.count("Saved") == 2
+
+
+TEMPLATES = """
+import sys, zipfile
+import bpy
+packed = sys.argv[-1]
+assert bpy.ops.preferences.app_template_install(filepath=packed) == {"FINISHED"}
+names = {name.partition("/")[0] for name in zipfile.ZipFile(packed).namelist()}
+for name in sorted(names):
+    bpy.ops.wm.read_homefile(app_template=name)
+    assert bpy.context.scene.render.engine in ("MRPNN", "CYCLES"), (name, bpy.context.scene.render.engine)
+    assert bpy.data.volumes or name == "Volumes_Fog_in_a_church", name
+    assert all(data.grids.load() for data in bpy.data.volumes), name
+bpy.ops.wm.read_homefile(app_template="Volumes_Smoke")
+render = bpy.context.scene.render
+render.resolution_x, render.resolution_y, render.filepath = 32, 18, packed[:-len(".zip")]
+bpy.ops.render.render(write_still=True)
+print("opened", len(names), flush=True)
+"""
+
+
+def test_the_gallerys_templates_open_and_render(program, tmp_path):
+    pytest.importorskip("bpy")
+    names = ["fog", "plume", "milk"]
+    packed = release.build_gallery("1.2.3", [*names, "--detail", "0.2"], tmp_path)
+    shutil.copy(packed, program.folder / "gallery.zip")
+    (program.folder / "templates.py").write_text(TEMPLATES)
+    run = program(
+        "-b",
+        "--python-exit-code",
+        "1",
+        "--python",
+        program.folder / "templates.py",
+        "--",
+        program.folder / "gallery.zip",
+    )
+    assert run.returncode == 0 and f"opened {len(names)}" in run.stdout, run.stdout + run.stderr
+    with Image.open(program.folder / "gallery.png") as image:
+        assert np.asarray(image.convert("L"), float).std() > 5.0
 
 
 WORKING = """
