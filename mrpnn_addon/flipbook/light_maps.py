@@ -27,7 +27,7 @@ SIDES = {
 # A white matte surface that faces a sun of this irradiance has radiance 1.
 IRRADIANCE = np.pi
 # Interpolating light between six sides errs far more than this makes the maps err.
-TOLERANCE = 4.0
+TOLERANCE = 6.0
 # Relative differences of colour channels above which a medium is coloured.
 COLOURED = 0.01
 
