@@ -38,8 +38,8 @@ class FrameMotion:
     """What moves while the shutter is open.
 
     shutters: of the cameras of views; None where nothing moves. matrices: (S, 4, 4) of the volumes and surfaces that
-    move, by the keys of `VisibleObject`. vertices: float32 (S, V, 3), in object space, of the surfaces that change their
-    shape. warnings: what changes its shape and is rendered with that of the frame.
+    move, by the keys of `VisibleObject`. vertices: float32 (S, V, 3), in object space, of the surfaces that change
+    their shape. warnings: what changes its shape and is rendered with that of the frame.
     """
 
     shutters: list[Shutter | None]
