@@ -105,14 +105,15 @@ def joined_voxels(camera: Camera, corners: np.ndarray, voxel: float) -> int:
 def _pixel_size(camera: Camera, corners: np.ndarray) -> float:
     """Smallest size in the world of a pixel of the camera, on a convex hull of corners (N, 3)."""
     width, height = camera.resolution
+    shorter = min(camera.pixel_aspect, 1.0) / width
     if camera.projection == "orthographic":
-        return camera.ortho_scale / width
+        return camera.ortho_scale * shorter
     # No point of the hull is nearer than its nearest corner less its diameter.
     diameter = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
     middle = 0.5 * (corners.max(axis=0) + corners.min(axis=0))
     distance = max(float(np.linalg.norm(middle - camera.world_matrix[:3, 3])) - 0.5 * diameter, 0.0)
     if camera.projection == "perspective":
-        return distance * 2.0 * np.tan(0.5 * camera.fov) / width
+        return distance * 2.0 * np.tan(0.5 * camera.fov) * shorter
     spans = (
         abs(camera.longitude[1] - camera.longitude[0]) / width,
         abs(camera.latitude[1] - camera.latitude[0]) / height,

@@ -80,7 +80,8 @@ def _eye(camera: Camera, point: np.ndarray, beside: np.ndarray) -> Camera:
     lens = camera.lens
     if camera.projection == "equirectangular":
         return replace(camera, lens=None if lens is None else replace(lens, point=tuple(point)))
-    shift, matrix = np.array(camera.shift) + beside * [1.0, -1.0] / camera.resolution[0], camera.world_matrix.copy()
+    shift = np.array(camera.shift) + beside * [1.0, -camera.pixel_aspect] / camera.resolution[0]
+    matrix = camera.world_matrix.copy()
     axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
     matrix[:3, :3] = axes
     matrix[:3, 3] += axes[:, :2] @ point

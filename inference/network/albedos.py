@@ -15,7 +15,7 @@ from ..transport.scattered_fluence import MIN_SHARE
 from ..transport.varying_albedo import between
 
 # Ends of the parts of a ray on which the light ahead is read, in mean free paths.
-PARTS = (0.6, 1.8, 5.0)
+PARTS = (0.2, 0.6, 1.2, 2.0, 3.2, 5.0, 8.0)
 # Light below this is none.
 MIN_LIGHT = 1e-12
 

@@ -64,17 +64,12 @@ class DepthBuffer:
         # A camera that sees through one point of a lens has oblique axes.
         corners, number = _beyond(corners @ inverse(rotation).T, closest)
         cancel.check()
-        width, height = camera.resolution
         if camera.projection == "orthographic":
             plane, value = corners[..., :2] / camera.ortho_scale, corners[..., 2]
         else:
             value = -1.0 / corners[..., 2]
             plane = corners[..., :2] * value[..., None] / self.extent
-        pixels = np.stack(
-            [(plane[..., 0] - camera.shift[0] + 0.5) * width, 0.5 * height - (plane[..., 1] - camera.shift[1]) * width],
-            axis=-1,
-        )
-        return pixels, value, number
+        return np.stack(camera.in_image(plane[..., 0], plane[..., 1]), axis=-1), value, number
 
     def triangles(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
         """Numbers int (rows, columns) of the nearest triangles at the sample points of the window's pixels.
@@ -181,9 +176,7 @@ class DepthBuffer:
         """Distances along rays (R, C), from the values of `_project` at columns (C,) and rows (R,) of the image."""
         if self.camera.projection == "orthographic":
             return -value
-        width, height = self.camera.resolution
-        u = columns / width - 0.5 + self.camera.shift[0]
-        v = ((0.5 * height - rows) / width + self.camera.shift[1])[:, None]
+        u, v = self.camera.on_plane(columns, rows[:, None])
         with np.errstate(divide="ignore"):
             depth = np.where(value > 0.0, 1.0 / value, np.inf)
         return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))

@@ -18,6 +18,8 @@ from .resolution import TRANSPORT_CELLS, refinement
 #: Largest edges in pixels, and optical thicknesses, of cells of the coarse transport that are 2 and 4 times as large as
 #: usual: the light of few cells errs wherever it is seen.
 LARGER_CELLS = (1.25, 8.0), (0.5, 4.0)
+#: The same where albedos vary, which larger cells mix.
+LARGER_COLOURED_CELLS = ((0.25, 2.0),)
 #: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
 LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 0.4), 2
 
@@ -47,8 +49,7 @@ def coarser_light(members: Sequence[tuple[Volume, Medium]], lamps: bool, camera:
     edge = max(_edges(members[0][0])) if len(members) == 1 else float(np.ptp(corners, axis=0).max())
     cell, pixel = edge / TRANSPORT_CELLS, smallest_pixel(camera, settings, corners)
     depth = cell * sum(_peak(*pair) for pair in members)
-    # An albedo that varies is held on cells of the first kind.
-    kinds = LARGER_CELLS[:1] if any(volume.scattering is not None for volume, _ in members) else LARGER_CELLS
+    kinds = LARGER_COLOURED_CELLS if any(volume.scattering is not None for volume, _ in members) else LARGER_CELLS
     return sum(
         cell * 2**n <= settings.tolerance * pixels * pixel and depth * 2**n <= most
         for n, (pixels, most) in enumerate(kinds, 1)

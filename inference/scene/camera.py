@@ -87,6 +87,7 @@ class Camera:
     fov: horizontal field of view in radians (perspective).
     ortho_scale: world units across the width of the image (orthographic).
     shift: (x, y) lens shift in units of the image's width; positive values move the window right and up.
+    pixel_aspect: height of a pixel over its width (perspective, orthographic).
     longitude, latitude: (left, right) and (lower, upper) edges in radians, 0 straight ahead, positive to the right and
         up (equirectangular).
     clip: (near, far) distances along the viewing axis; along each ray for equirectangular cameras.
@@ -106,6 +107,7 @@ class Camera:
     fov: float = 0.6911112070083618
     ortho_scale: float = 6.0
     shift: tuple[float, float] = (0.0, 0.0)
+    pixel_aspect: float = 1.0
     longitude: tuple[float, float] = (-np.pi, np.pi)
     latitude: tuple[float, float] = (-np.pi / 2.0, np.pi / 2.0)
     clip: tuple[float, float] = (0.0, np.inf)
@@ -127,6 +129,8 @@ class Camera:
             raise SceneError(f"camera: field of view {self.fov:g} must lie between 0 and pi")
         if self.projection == "orthographic" and not 0.0 < self.ortho_scale < np.inf:
             raise SceneError(f"camera: orthographic scale {self.ortho_scale:g} must be positive")
+        if not 0.0 < self.pixel_aspect < np.inf:
+            raise SceneError(f"camera: pixel aspect {self.pixel_aspect:g} must be positive")
         if self.longitude[0] == self.longitude[1] or self.latitude[0] == self.latitude[1]:
             raise SceneError(f"camera: longitudes {self.longitude} and latitudes {self.latitude} span nothing")
         if not np.all(np.isfinite([*self.shift, *self.longitude, *self.latitude])):
@@ -141,6 +145,22 @@ class Camera:
             if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
                 raise SceneError(f"camera: region {self.region} does not lie in the image")
             self.region = (x0, y0, x1, y1)
+
+    def on_plane(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Image plane coordinates, in units of the image's width from the viewing axis, x to the right and y up.
+
+        columns, rows: places in the image, in pixels from its upper left corner.
+        """
+        width, height = self.resolution
+        return (
+            (columns - 0.5 * width) / width + self.shift[0],
+            (0.5 * height - rows) / width * self.pixel_aspect + self.shift[1],
+        )
+
+    def in_image(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows of image plane coordinates: the inverse of `on_plane`."""
+        width, height = self.resolution
+        return (x - self.shift[0] + 0.5) * width, 0.5 * height - (y - self.shift[1]) * width / self.pixel_aspect
 
     @property
     def window(self) -> tuple[int, int, int, int]:

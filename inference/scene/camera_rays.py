@@ -34,9 +34,7 @@ def image_rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray
     1 for equirectangular cameras, which clip by distance along the ray.
     """
     width, height = camera.resolution
-    # Image plane coordinates in units of the image's width, x to the right, y up.
-    u = (x - 0.5 * width) / width + camera.shift[0]
-    v = (0.5 * height - y) / width + camera.shift[1]
+    u, v = camera.on_plane(x, y)
     rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
     eye = camera.world_matrix[:3, 3]
     forward = np.full_like(u, -1.0)
@@ -104,12 +102,12 @@ def _spherical(eye: SphericalEye, local: np.ndarray, latitude: np.ndarray) -> tu
 
 
 def pixel_size(camera: Camera, distance: np.ndarray) -> np.ndarray:
-    """Approximate width (N,) of a pixel at distances (N,) along its ray, in world units."""
-    width = camera.resolution[0]
+    """Approximate length (N,) of a pixel's shorter side at distances (N,) along its ray, in world units."""
+    width = camera.resolution[0] / min(camera.pixel_aspect, 1.0)
     if camera.projection == "orthographic":
         return np.full_like(distance, camera.ortho_scale / width)
     if camera.projection == "equirectangular":
-        return distance * abs(camera.longitude[1] - camera.longitude[0]) / width
+        return distance * abs(camera.longitude[1] - camera.longitude[0]) / camera.resolution[0]
     return distance * (2.0 * np.tan(0.5 * camera.fov) / width)
 
 
@@ -120,7 +118,7 @@ def widest_angle(camera: Camera) -> float:
     if camera.projection == "equirectangular":
         return max(abs(ends[1] - ends[0]) for ends in (camera.longitude, camera.latitude))
     width, height = camera.resolution
-    return float(2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height) / width))
+    return float(2.0 * np.arctan(np.tan(0.5 * camera.fov) * max(width, height * camera.pixel_aspect) / width))
 
 
 def _lerp(ends: tuple[float, float], fraction: np.ndarray) -> np.ndarray:
@@ -166,8 +164,7 @@ def seen_at(camera: Camera, points: np.ndarray) -> np.ndarray:
     extent: np.ndarray | float = camera.ortho_scale
     if camera.projection == "perspective":
         extent = np.where(z < 0.0, -2.0 * np.tan(0.5 * camera.fov) * z, np.nan)
-    column = (x / extent - camera.shift[0]) * width + 0.5 * width
-    return np.stack([column, 0.5 * height - (y / extent - camera.shift[1]) * width])
+    return np.stack(camera.in_image(x / extent, y / extent))
 
 
 def places_in_image(

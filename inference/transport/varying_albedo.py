@@ -18,10 +18,8 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from .discrete_ordinates import CellSource, DiscreteOrdinates
 
-#: Cells along an edge of the working cube on which the transport is solved for albedos that vary.
-CELLS = 32
 # Uniform albedos are at most so far apart in the square root of 1 - albedo, in which light fades about evenly.
-SPACING = 0.12
+SPACING = 0.24
 # Ranges of albedo narrower than this are one albedo.
 SAME = 1e-5
 # Lowest uniform albedo: below, almost nothing is scattered twice.
@@ -45,13 +43,13 @@ class CoarseAlbedo:
         coarse: np.ndarray,
         cancel: CancelToken = NEVER,
     ) -> None:
-        """coarse: the density on these cells or on smaller ones."""
+        """coarse: the density on these cells."""
         assert volume.scattering is not None
-        self.density = _cells(coarse)
+        self.density = coarse
         self.channels = []
         for grid in volume.scattering:
             part = Volume(grid, volume.world_from_index, volume.name)
-            scattering = _cells(level0_density(part, cube, cancel))
+            scattering = _cells(level0_density(part, cube, cancel), len(coarse))
             albedo = np.divide(scattering, self.density, out=np.zeros_like(scattering), where=self.density > 0.0)
             self.channels.append(np.clip(albedo, 0.0, 1.0))
         filled = self.density > NEGLIGIBLE * self.density.max()
@@ -102,9 +100,9 @@ def _enclosing(ends: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
     return uniform, [own if some else np.searchsorted(uniform, end[1:]) for some, end in zip(varies, ends)]
 
 
-def _cells(values: np.ndarray) -> np.ndarray:
-    """Means over CELLS cells along an edge."""
-    while len(values) > CELLS:
+def _cells(values: np.ndarray, count: int) -> np.ndarray:
+    """Means over so many cells along an edge."""
+    while len(values) > count:
         means = np.empty([n // 2 for n in values.shape], np.float32)
         halve(np.ascontiguousarray(values, np.float32), means)
         values = means

@@ -44,7 +44,9 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
     if not settings.directional:
         camera = description.camera
         around.update(np.ascontiguousarray(camera.world_matrix).data)
-        around.update(repr((camera.projection, camera.resolution, camera.fov, camera.ortho_scale)).encode())
+        around.update(
+            repr((camera.projection, camera.resolution, camera.fov, camera.ortho_scale, camera.pixel_aspect)).encode()
+        )
     own = [_volume_digest(volume, medium) for volume, medium in description.volumes]
     keys = [""] * len(own)
     for group in overlapping(description.volumes)[0]:

@@ -165,6 +165,7 @@ def view_key(camera: Camera) -> tuple:
         camera.fov,
         camera.ortho_scale,
         camera.shift,
+        camera.pixel_aspect,
         camera.exposure,
         camera.lens,
     )

@@ -2,6 +2,7 @@
 """Pixels of images, and equirectangular ones at the low resolution that lighting from all directions needs."""
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -34,13 +35,28 @@ def linear_pixels(image: "bpy.types.Image") -> np.ndarray:
     return colours @ read.from_file.astype(np.float32)
 
 
-def read_pixels(image: "bpy.types.Image") -> ImagePixels:
-    """The pixels of an image. Raises ValueError, with the reason, if it has none."""
-    if image is None or not image.size[0] or not image.size[1]:
+def require_readable(image: "bpy.types.Image | None") -> None:
+    """Raises ValueError, with the reason, where `read_pixels` cannot read an image; without reading it, which takes
+    time. Whether the file holds an image is not known before it is read.
+    """
+    if image is None:
         raise ValueError("the image is missing or empty")
     if image.source not in ("FILE", "GENERATED"):
         raise ValueError(f"an image of source {image.source}")
+    space = image.colorspace_settings.name
+    if space not in REC709 | AS_THEY_ARE | {"sRGB"} and not image.is_float:
+        raise ValueError(f"colour space {space}")
+    stored = image.has_data or image.packed_file is not None or image.source == "GENERATED"
+    if not stored and not os.path.isfile(bpy.path.abspath(image.filepath, library=image.library)):
+        raise ValueError("the image is missing or empty")
+
+
+def read_pixels(image: "bpy.types.Image") -> ImagePixels:
+    """The pixels of an image. Raises ValueError, with the reason, if it has none."""
+    require_readable(image)
     width, height = image.size
+    if not width or not height:
+        raise ValueError("the image is missing or empty")
     pixels = np.empty(width * height * image.channels, np.float32)
     values: Any = image.pixels
     values.foreach_get(pixels)
@@ -49,8 +65,6 @@ def read_pixels(image: "bpy.types.Image") -> ImagePixels:
     alpha = pixels[..., 3:] if image.channels == 4 else np.ones_like(colours[..., :1])
     space = image.colorspace_settings.name
     srgb = space == "sRGB" and not image.is_float
-    if not srgb and space not in REC709 | AS_THEY_ARE and not image.is_float:
-        raise ValueError(f"colour space {space}")
     # Blender converts images of floats when it reads them.
     converted = image.is_float or space in AS_THEY_ARE
     from_file = np.eye(3) if converted else from_rec709(np.eye(3))

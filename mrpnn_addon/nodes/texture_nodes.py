@@ -13,7 +13,7 @@ from ..textures import image, patterns
 from ..textures.gabor import gabor
 from ..textures.noise import Fractal, noise_texture
 from ..textures.voronoi import Voronoi
-from .environment_image import environment_image, read_pixels
+from .environment_image import environment_image, read_pixels, require_readable
 from .math_operations import divide
 from .sockets import Groups, Node, Socket, unsupported
 
@@ -148,7 +148,8 @@ def _image(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) 
 
 
 def _environment(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
-    if not getattr(values.points, "images", False):
+    images = getattr(values.points, "images", None)
+    if images is None:
         raise unsupported(node, "an image here")
     if node.projection != "EQUIRECTANGULAR" or output.identifier != "Color":
         raise unsupported(node, f"{output.name} in projection {node.projection}")
@@ -157,7 +158,10 @@ def _environment(values: "NodeEvaluator", node: Node, output: Socket, groups: Gr
     else:
         vector = values.points.coordinates("world", node)
     try:
-        return environment_image(node.image)(vector)
+        if images:
+            return environment_image(node.image)(vector)
+        require_readable(node.image)
+        return np.ones_like(vector)
     except ValueError as problem:
         raise unsupported(node, str(problem)) from None
 

@@ -42,7 +42,7 @@ def read_camera(
     The window comes from Blender's projection matrix, which includes lens, sensor fit, shift and resolution.
 
     Raises SceneError without a camera, where it is another object, for a panoramic camera that is not equirectangular,
-    for one of scale 0, and for non-square pixels.
+    and for one of scale 0.
     """
     scene = depsgraph.scene
     if instead is None and scene.camera is None:
@@ -67,11 +67,6 @@ def read_camera(
     if not np.linalg.norm(matrix[:3, :3], axis=0).all():
         raise SceneError(f"{where}: it has scale 0; set it to 1")
     render = scene.render
-    if render.pixel_aspect_x != render.pixel_aspect_y:
-        raise SceneError(
-            f"{where}: pixels of aspect {render.pixel_aspect_x:g}:{render.pixel_aspect_y:g} are not "
-            "supported; set both to 1 in the output properties"
-        )
     width, height = (size * render.resolution_percentage // 100 for size in (render.resolution_x, render.resolution_y))
     if width < 1 or height < 1:
         raise SceneError(f"the render resolution is {width} x {height} pixels; raise it in the output properties")
@@ -93,21 +88,24 @@ def read_camera(
             eye=eye.spherical,
             lens=read_lens(camera, depsgraph),
         ), warnings
-    window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height))
+    across, down = render.pixel_aspect_x, render.pixel_aspect_y
+    window = np.array(camera.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=across, scale_y=down))
     perspective = lens.type == "PERSP"
     # Window coordinates are (P00 x + P02 z) / -z or P00 x + P03, from -1 to 1 across the image.
     half_width = 1.0 / window[0, 0]
     centre = window[:2, 2] if perspective else -window[:2, 3]
     # A lens' shift is in units of the side that its sensor fits.
-    fits_width = lens.sensor_fit == "HORIZONTAL" or lens.sensor_fit == "AUTO" and width >= height
-    shift = eye.shift * (1.0 if fits_width else height / width)
+    tallness = height * down / (width * across)
+    fits_width = lens.sensor_fit == "HORIZONTAL" or lens.sensor_fit == "AUTO" and tallness <= 1.0
+    shift = eye.shift * (1.0 if fits_width else tallness)
     return Camera(
         _orthonormal(matrix) @ eye.placement,
         projection=PROJECTIONS[lens.type],
         resolution=(width, height),
         fov=2.0 * math.atan(half_width),
         ortho_scale=2.0 * half_width,
-        shift=(centre[0] / 2.0 + shift, centre[1] / 2.0 * height / width),
+        shift=(centre[0] / 2.0 + shift, centre[1] / 2.0 * tallness),
+        pixel_aspect=down / across,
         clip=(lens.clip_start, lens.clip_end),
         region=_region(render, width, height),
         exposure=film_exposure(scene),

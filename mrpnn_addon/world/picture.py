@@ -111,7 +111,7 @@ def _view_job(camera: Camera, samples: int, pixel_filter: tuple[str, float]) -> 
     """What the process is asked for a camera's view; its `repr` identifies the view."""
     numbers = {
         name: np.array(getattr(camera, name)).tolist()
-        for name in ("resolution", "fov", "ortho_scale", "shift", "longitude", "latitude")
+        for name in ("resolution", "fov", "ortho_scale", "shift", "pixel_aspect", "longitude", "latitude")
     }
     return {
         "matrix": camera.world_matrix.tolist(),

@@ -14,7 +14,8 @@ ROWS = 128
 class Sphere:
     """Directions covering the sphere, at which a World's nodes are evaluated: the pixels of an `Environment`.
 
-    directions: float64 (2 rows^2, 3) unit vectors. images: whether environment images may be read, which takes time.
+    directions: float64 (2 rows^2, 3) unit vectors. images: whether environment images are read, which takes
+    time; otherwise they are white.
     """
 
     fills_its_bounds = False

@@ -205,6 +205,9 @@ def _aimed(scene: "bpy.types.Scene", view: dict) -> "bpy.types.Object":
     lens.lens = focal * lens.sensor_width
     lens.ortho_scale = view["ortho_scale"]
     lens.shift_x, lens.shift_y = view["shift"]
+    # Neither may be below 1.
+    aspect = view.get("pixel_aspect", 1.0)
+    scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = max(1.0 / aspect, 1.0), max(aspect, 1.0)
     if lens.type == "PANO":
         # Properties of Cycles before 5.0.
         panorama = lens if hasattr(lens, "panorama_type") else lens.cycles

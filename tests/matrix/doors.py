@@ -186,8 +186,8 @@ def viewport(shot: Shot) -> None:
             render_settings.border_max_x,
             render_settings.border_max_y,
         )
-    if lens.type == "PANO":
-        # A viewport shows no panorama.
+    if lens.type == "PANO" or scene.render.pixel_aspect_x != scene.render.pixel_aspect_y:
+        # A viewport shows no panorama, and its pixels are square.
         camera = shot.package.mrpnn_addon.objects.camera.read_camera(depsgraph)[0]
     else:
         camera = engine.viewport.viewport_camera(

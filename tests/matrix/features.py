@@ -327,6 +327,12 @@ def panorama(stage: Stage) -> None:
     stage.scene.camera.location = 0.3, -1.9, 0.4
 
 
+def shift(stage: Stage) -> None:
+    """Shifted sideways and down, of pixels that are wider than tall."""
+    camera(stage, shift_x=0.15, shift_y=-0.1)
+    stage.scene.render.pixel_aspect_x = 1.6
+
+
 def inside(stage: Stage) -> None:
     """In the first volume, wherever that stands."""
     camera(stage).location = stage.volumes[0].location + Vector((0.05, -0.25, 0.05))
@@ -450,7 +456,7 @@ DIMENSIONS: dict[str, dict[str, Build]] = {
         "inside": inside,
         "stereo": stereo,
         "border": border,
-        "shift": lambda stage: camera(stage, shift_x=0.15, shift_y=-0.1),
+        "shift": shift,
         "lens": lens,
         "moving": moving,
     },

@@ -108,6 +108,27 @@ def test_updates_add_no_undo_steps(lit):
     assert lit.do(f"print(len({LIGHTS}))") == "1"
 
 
+def test_light_comes_back_with_redo_and_is_saved_with_the_file(lit):
+    lit.do("bpy.ops.ed.undo_push(message='Before'); turn(0.2); bpy.ops.ed.undo_push(message='Turned')")
+    lit.until(UP_TO_DATE)
+    keys = [lit.do(f"print({KEY})")]
+    for step in ("undo", "redo"):
+        lit.do(f"with over(area('VIEW_3D')): bpy.ops.ed.{step}()")
+        lit.until(UP_TO_DATE)
+        keys.append(lit.do(f"print({KEY})"))
+    assert keys[0] == keys[2] != keys[1]
+    lit.do("bpy.ops.wm.save_mainfile()")
+    lit.until(UP_TO_DATE)
+    saved = f"[bpy.path.abspath(o.data.filepath) for o in {LIGHTS}]"
+    assert (
+        lit.do(
+            f"import os; print([os.path.dirname(f) == WORK + '/baked_light' and os.path.exists(f) for f in {saved}])"
+        )
+        == "[True]"
+    )
+    turned(lit, 0.7)
+
+
 def test_each_of_two_windows_shows_its_scene(lit):
     lit.do(
         "with over(area('VIEW_3D')): bpy.ops.wm.window_new_main()\n"

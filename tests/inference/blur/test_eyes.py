@@ -64,7 +64,7 @@ def test_squares_of_pixels_share_out_the_lens_evenly():
 
 def test_where_a_point_is_seen_is_where_its_ray_goes():
     for projection in ("perspective", "orthographic", "equirectangular"):
-        camera = Camera(PLACE, projection, resolution=(64, 32), fov=0.9, shift=(0.1, -0.2))
+        camera = Camera(PLACE, projection, resolution=(64, 32), fov=0.9, shift=(0.1, -0.2), pixel_aspect=0.7)
         x, y = np.array([3.25, 60.0]), np.array([7.5, 20.0])
         origins, directions, _ = image_rays(camera, x, y)
         assert np.allclose(seen_at(camera, origins + 2.5 * directions), [x, y])

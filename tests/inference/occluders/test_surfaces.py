@@ -44,14 +44,14 @@ def test_depths_equal_brute_force_intersection(projection, clip):
     """Triangles anywhere, also behind the camera and across its plane and the near clipping plane."""
     random = np.random.default_rng(2)
     triangles = random.normal(0.0, 3.0, (60, 1, 3)) + random.normal(0.0, 2.0, (60, 3, 3)) + [0, 0, -2.0]
-    view = camera(projection, shift=(0.1, -0.05), ortho_scale=5.0, clip=(clip, np.inf))
+    view = camera(projection, shift=(0.1, -0.05), pixel_aspect=1.4, ortho_scale=5.0, clip=(clip, np.inf))
     turn = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     view.world_matrix[:3, :3] = turn
     window = (2, 1, 11, 8)
     found = DepthBuffer([Surface(triangles[:20]), Surface(triangles[20:])], view).distances(window)
 
     fine = Camera(view.world_matrix, projection, (12 * SAMPLES, 8 * SAMPLES), view.fov, 5.0, view.shift)
-    fine.clip = view.clip
+    fine.clip, fine.pixel_aspect = view.clip, view.pixel_aspect
     origins, directions, near, _ = camera_rays(fine)
     expected = near + met(triangles, origins + near[:, None] * directions, directions)
     expected = expected.reshape(8, SAMPLES, 12, SAMPLES).transpose(0, 2, 1, 3)[1:8, 2:11].reshape(-1, SAMPLES**2)

@@ -33,6 +33,7 @@ def random_view(random):
         fov=random.uniform(0.05, 2.8),
         ortho_scale=random.uniform(0.1, 5.0),
         shift=tuple(random.normal(size=2) * 0.2),
+        pixel_aspect=random.choice([0.5, 1.0, 2.0]),
         region=(x0, y0, x0 + 38, y0 + 19),
     )
 

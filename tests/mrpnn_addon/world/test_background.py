@@ -97,8 +97,9 @@ def perspective(scene):
 
 
 def portrait(scene):
-    """Taller than wide, so that Blender fits the sensor to the height."""
+    """Taller than wide, so that Blender fits the sensor to the height, of tall pixels."""
     scene.render.resolution_x, scene.render.resolution_y = 32, 48
+    scene.render.pixel_aspect_y = 1.3
     scene.camera.data.angle = 1.2
 
 

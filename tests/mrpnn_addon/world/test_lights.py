@@ -135,6 +135,26 @@ def test_an_environment_image_lights_as_in_cycles(addon, scene, tmp_path):
     np.testing.assert_allclose(seen[3] * albedo * light / (4 * math.pi) * lost, seen[:3], rtol=0.06)
 
 
+def test_cycles_renders_only_worlds_whose_image_cannot_be_read(addon, scene, tmp_path):
+    """Whether it has to is found out without reading the image."""
+    blender_scenes.cloud_scene(scene, tmp_path)
+    scene.objects["Sun"].hide_render = True
+    tree, node = scene.world.node_tree, background(scene)
+    texture = tree.nodes.new("ShaderNodeTexEnvironment")
+    tree.links.new(texture.outputs[0], node.inputs["Color"])
+    wanted = importlib.import_module("mrpnn.mrpnn_addon.world.lighting").is_wanted
+    assert wanted(blender_scenes.depsgraph())
+    texture.image = panorama(64, 32)
+    assert not wanted(blender_scenes.depsgraph()) and read(addon).environment
+    path = tmp_path / "surroundings.exr"
+    texture.image.filepath_raw, texture.image.file_format = str(path), "OPEN_EXR"
+    texture.image.save()
+    texture.image = bpy.data.images.load(str(path))
+    assert not wanted(blender_scenes.depsgraph()) and not texture.image.has_data
+    texture.image.filepath = str(tmp_path / "missing.exr")
+    assert wanted(blender_scenes.depsgraph())
+
+
 @pytest.mark.slow
 def test_directions_are_those_at_which_cycles_sees_the_image(addon, scene, tmp_path):
     """A panoramic camera sees what the nodes give for the direction of each pixel."""
