@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..mrpnn_addon.nodes.material import shows_volume
+from ..mrpnn_addon.nodes.material import SURFACES, shows_volume
 from ..mrpnn_addon.runtime.text import label
 from ..mrpnn_addon.status.scene_check import last_check
 from ..mrpnn_addon.volumes.fluid_domain import gas_domain
@@ -17,10 +17,15 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: "bpy.types.Context") -> bool:
-        return super().poll(context) and context.object is not None and shows_volume(context.object)
+        shown = context.object
+        if not super().poll(context) or shown is None:
+            return False
+        return shows_volume(shown) or (context.scene.render.use_motion_blur and shown.type in SURFACES)
 
     def draw(self, context: "bpy.types.Context") -> None:
         layout, shown, check = self.layout, context.object, last_check()
+        if not shows_volume(shown):
+            return
         if check is None:
             said = "Press Check Scene in Render Properties to see what is rendered of this volume"
             draw_text(context, layout, said, "INFO")
@@ -58,6 +63,8 @@ class MRPNN_PT_object_motion(EnginePanel, bpy.types.Panel):
                 column.prop(data, name)
         elif domain:
             column.prop(domain, "velocity_scale")
+        elif context.object.type in SURFACES:
+            column.prop(settings, "use_deform_motion", text="Deformation")
 
 
 classes = (MRPNN_PT_object, MRPNN_PT_object_motion)

@@ -38,16 +38,16 @@ def main(options: list[str] | None = None) -> None:
     size = (arguments.edge, arguments.edge)
     camera = inference.Camera(world, projection="orthographic", resolution=size, ortho_scale=1.0)
     settings = inference.Settings(depth_samples=arguments.depth_samples)
-    spent = np.zeros((arguments.frames, 2))
+    spent, caches = np.zeros((arguments.frames, 2)), [inference.RenderCache() for _ in range(2)]
     # The first frame loads the network.
     for frame in range(-1, arguments.frames):
         volume = inference.Volume(density * (1.0 + 0.01 * frame), matrix)
         volumes = [(volume, inference.Medium(sigma_t=60.0, albedo=0.8))]
         description = addon.mrpnn_addon.scene.reader.SceneDescription(volumes=volumes, camera=camera)
         start = time.process_time()
-        maps_of.render_tile(description, settings, np.radians(arguments.angle))
+        maps_of.render_tile(description, settings, np.radians(arguments.angle), cache=caches[0])
         six = time.process_time()
-        inference.render(volumes, [inference.Sun((1.0, -1.0, 1.0), np.pi)], camera, settings)
+        inference.render(volumes, [inference.Sun((1.0, -1.0, 1.0), np.pi)], camera, settings, cache=caches[1])
         spent[frame] = six - start, time.process_time() - six
     tile, one = np.median(spent, axis=0)
     print("| pixels of a tile | depth samples | processor seconds of a tile | of 64 | beside a render with one sun |")

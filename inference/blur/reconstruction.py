@@ -15,6 +15,8 @@ from ..kernels.library import call
 
 #: Pixels on each side that are joined at most, and rows that a call joins.
 REACH, ROWS = 4, 8
+# Pixels on each side among which all eyes look, and the part of their rays that is none.
+BESIDE, HIDDEN = 2, 1e-4
 
 
 def join(images: Sequence[np.ndarray], sharpness: np.ndarray, each: Callable[..., Iterable[None]]) -> list[np.ndarray]:
@@ -52,12 +54,27 @@ def join(images: Sequence[np.ndarray], sharpness: np.ndarray, each: Callable[...
     return [part.reshape(values.shape) for part, values in zip(np.split(joined, ends, axis=2), images)]
 
 
-def _around(values: np.ndarray) -> np.ndarray:
-    """Sums over the pixels within REACH, of values (rows, columns, ...)."""
+def sharpness_where_swept(sharpness: np.ndarray, swept: np.ndarray) -> np.ndarray:
+    """Sharpness of pixels, as of `join`, where surfaces that move hide what is behind them for a part of the time.
+
+    swept: of the surfaces alone, its weights the parts of the pixels' rays that they end. Which part of the time a
+    surface hides a pixel, few rays do not tell: such pixels are joined along its way, no farther than where all eyes
+    look, so that what is behind stays sharp.
+    """
+    if not swept.any():
+        return sharpness
+    around, pixels = _around(swept, BESIDE), _around(np.ones_like(swept[..., :1]), BESIDE)[..., 0]
+    partly = (around[..., 3] > 0.0) & (around[..., 3] < pixels * (1.0 - HIDDEN))
+    around[..., [0, 2]] += around[..., 3:] / np.float32(BESIDE**2)
+    return np.where(partly[..., None], around, sharpness + swept)
+
+
+def _around(values: np.ndarray, reach: int = REACH) -> np.ndarray:
+    """Sums over the pixels within reach, of values (rows, columns, ...)."""
     for axis in (0, 1):
-        padded = np.pad(values, [(REACH + 1, REACH) if a == axis else (0, 0) for a in range(values.ndim)])
+        padded = np.pad(values, [(reach + 1, reach) if a == axis else (0, 0) for a in range(values.ndim)])
         sums = np.cumsum(padded, axis=axis, dtype=np.float64)
         count = values.shape[axis]
-        span = [sums.take(range(first, first + count), axis=axis) for first in (2 * REACH + 1, 0)]
+        span = [sums.take(range(first, first + count), axis=axis) for first in (2 * reach + 1, 0)]
         values = (span[0] - span[1]).astype(np.float32)
     return values

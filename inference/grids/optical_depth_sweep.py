@@ -14,19 +14,18 @@ from ..kernels.library import call
 from ..plan.sun_columns import BEFORE, MORE, Shear
 from ..runtime.cancellation import NEVER, CancelToken
 
-# Weights of four neighbours at a fraction between the middle two.
-Fraction = float | np.float32
-Weights = Callable[[Fraction], list[Fraction]]
+# Weights of four neighbours at fractions between the middle two.
+Weights = Callable[[np.ndarray], list[np.ndarray]]
 # Cells that one call of the kernel sweeps.
 CELLS_PER_CALL = 1 << 21
 
 
-def linear(f: Fraction) -> list[Fraction]:
-    """Linear interpolation: weights of four neighbours in a row at a point `f` beyond the second."""
-    return [0.0, 1 - f, f, 0.0]
+def linear(f: np.ndarray) -> list[np.ndarray]:
+    """Linear interpolation: weights of four neighbours in a row at points `f` beyond the second."""
+    return [0 * f, 1 - f, f, 0 * f]
 
 
-def cubic(f: Fraction) -> list[Fraction]:
+def cubic(f: np.ndarray) -> list[np.ndarray]:
     """Catmull-Rom interpolation, arguments as for `linear`.
 
     It reproduces parabolas, so that only the later linear interpolation blurs.
@@ -101,10 +100,8 @@ def sweep(
 
 def column_placement(shear: Shear, slices: np.ndarray, weights: Weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where slices meet the columns: first column int (n, 2), weights float32 (n, 2, 4) and fractions (n, 2)."""
-    shifts = [shear.shift(int(index)) for index in slices]
-    starts = np.array([[-cells - BEFORE - first for cells, first in zip(w, shear.first)] for w, _ in shifts], np.int64)
-    taps = np.array([[weights(fraction) for fraction in f] for _, f in shifts], np.float32)
-    return starts, taps, np.array([f for _, f in shifts], np.float32)
+    whole, fractions = shear.shift(slices)
+    return -whole - BEFORE - shear.first, np.stack(weights(fractions), axis=2), fractions
 
 
 def elements(view: np.ndarray) -> np.ndarray:

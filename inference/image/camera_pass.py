@@ -169,29 +169,38 @@ def add_sharpness(scene: PreparedScene, tile: Tile, samples: DepthSamples) -> No
         if motion is not None and samples.meets([v]):
             share = samples.weight * samples.share([v])
             some = np.flatnonzero(share > 0.0)
-            _add_sharpness(
-                scene, tile, (pixel[some], distance[some], share[some]), motion, samples.velocities(some, motion)
-            )
+            seen, velocities = (pixel[some], distance[some], share[some]), samples.velocities(some, motion)
+            _add_sharpness(scene, tile, tile.framebuffer.sharpness, seen, motion, velocities)
             still -= share
     if scene.eye_distances is not None:
         x0, y0, x1, y1 = window
-        ends = scene.eye_distances[y0 - top : y1 - top, x0 - left : x1 - left].ravel()
+        ends, surface = (
+            values[y0 - top : y1 - top, x0 - left : x1 - left].ravel()
+            for values in (scene.eye_distances.distances, scene.eye_distances.surface)
+        )
         hit = np.flatnonzero(np.isfinite(ends))
+        share, surface = np.full(len(hit), 1.0 / scene.eyes.rays), surface[hit]
+        for number in np.unique(surface[surface >= 0]):
+            some = hit[surface == number]
+            seen = some // scene.eyes.rays, ends[some], share[: len(some)]
+            _add_sharpness(scene, tile, tile.framebuffer.swept, seen, Movement(scene.eye_distances.frames[number]))
+        hit = hit[surface < 0]
         pixel = np.concatenate([pixel, hit // scene.eyes.rays])
         distance = np.concatenate([distance, ends[hit]])
-        still = np.concatenate([still, np.full(len(hit), 1.0 / scene.eyes.rays)])
+        still = np.concatenate([still, share[: len(hit)]])
     some = np.flatnonzero(still > 0.0)
-    _add_sharpness(scene, tile, (pixel[some], distance[some], still[some]))
+    _add_sharpness(scene, tile, tile.framebuffer.sharpness, (pixel[some], distance[some], still[some]))
 
 
 def _add_sharpness(
     scene: PreparedScene,
     tile: Tile,
+    image: np.ndarray,
     seen: tuple[np.ndarray, np.ndarray, np.ndarray],
     motion: Movement | None = None,
     velocities: np.ndarray | None = None,
 ) -> None:
-    """Add how sharp is what pixels (N,) see at distances (N,), with weights (N,), of what one movement moves.
+    """Add to an image how sharp is what pixels (N,) see at distances (N,), weighted (N,), of what one movement moves.
 
     velocities: (N, 3) in the world, or None.
     """
@@ -203,7 +212,7 @@ def _add_sharpness(
     frames = None if motion is None else motion.frames
     times = NEVER if motion is None or motion.flow is None else motion.flow.times
     spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()), frames, times)
-    found, image = spreads.sharpness(pixel, distance, velocities), tile.framebuffer.sharpness
+    found = spreads.sharpness(pixel, distance, velocities)
     for number, values in enumerate((*(found * weight[:, None]).T, weight)):
         image[:, number] += np.bincount(pixel, values, len(image))
 
@@ -405,7 +414,7 @@ def _rays_of_eyes(
     share, free = np.full(len(pixel), 1.0 / eyes.rays), np.ones(len(pixel))
     if scene.eye_distances is not None:
         left, top, *_ = scene.camera.window
-        ends = scene.eye_distances[rows - top, columns - left, number % eyes.rays]
+        ends = scene.eye_distances.distances[rows - top, columns - left, number % eyes.rays]
         far, free = np.minimum(far, ends), np.isinf(ends).astype(float)
     batch = RayBatch(origins, directions, near, far, eyes=number if scene.motion else None)
     return TileRays(batch, pixel, offsets - np.floor(offsets), share, free, eyes.rays)

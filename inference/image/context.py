@@ -21,7 +21,7 @@ from ..network.environment_network import EnvironmentNetwork
 from ..network.interfaces import System
 from ..network.uncertainty import UncertaintyNetwork
 from ..numerics.alike import alike, alike_vector
-from ..occluders.depth_buffer import DepthBuffer
+from ..occluders.depth_buffer import DepthBuffer, EyeDistances
 from ..occluders.occluders import Occluders
 from ..plan.plan import Channels, Plan
 from ..render_cache import RenderCache, ScatteringGroup
@@ -83,7 +83,7 @@ class PreparedScene:
     open_groups: list[ScatteringGroup | None] = field(default_factory=list)
     thrown_back: Environment | None = None
     eyes: Eyes | None = None
-    eye_distances: np.ndarray | None = None
+    eye_distances: EyeDistances | None = None
     motion: Sequence[Movement | None] = ()
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..blur.reconstruction import join
+from ..blur.reconstruction import join, sharpness_where_swept
 
 # (x0, y0, x1, y1): upper left pixel inclusive, lower right exclusive.
 Window = tuple[int, int, int, int]
@@ -18,7 +18,8 @@ class Framebuffer:
     """Images of P pixels, row by row.
 
     single, multiple, emission: float32 (P, 3). alpha, depth: float32 (P,). As in `layer.Layer`, except that depth is
-    the sum of distance times opacity. sharpness: float32 (P, 4), of blurred pictures, as of `blur.reconstruction`.
+    the sum of distance times opacity. sharpness: float32 (P, 4), of blurred pictures, as of `blur.reconstruction`;
+    swept: the same, of surfaces that move, where these end rays.
     uncertainty, deviation: float32 (P,), standard errors of `multiple`, mean over the channels, due to depth sampling
     and interpolation, and of what predicts it.
     """
@@ -31,6 +32,7 @@ class Framebuffer:
     uncertainty: np.ndarray
     deviation: np.ndarray
     sharpness: np.ndarray
+    swept: np.ndarray
 
     @classmethod
     def black(cls, pixels: int, mapper: Callable[..., Iterable[None]] = map) -> "Framebuffer":
@@ -40,13 +42,14 @@ class Framebuffer:
         deque(mapper(lambda image: image.fill(0.0), [*colours, *numbers]), maxlen=0)
         # Where nothing emits, its memory is never written to, and takes neither time nor space.
         single, multiple = colours
-        emission, sharpness = (np.zeros((pixels, values), np.float32) for values in (3, 4))
-        return cls(*[single, multiple, emission, *numbers, sharpness])
+        emission, sharpness, swept = (np.zeros((pixels, values), np.float32) for values in (3, 4, 4))
+        return cls(*[single, multiple, emission, *numbers, sharpness, swept])
 
     def joined(self, window: Window, mapper: Callable[..., Iterable[None]]) -> "Framebuffer":
         """The framebuffer of a blurred picture, with pixels joined that show the same."""
-        *images, sharpness = self._images(window)
-        joined = [*join(images, sharpness, mapper), sharpness]
+        *images, sharpness, swept = self._images(window)
+        sharpness = sharpness_where_swept(sharpness, swept)
+        joined = [*join(images, sharpness, mapper), sharpness, swept]
         return Framebuffer(*(image.reshape(-1, *image.shape[2:]) for image in joined))
 
     def radiances(self) -> list[np.ndarray]:

@@ -85,13 +85,12 @@ class _Instances:
     """What the instances of a volume share: what they read, and of each light what any of them still uses.
 
     coarse, fine: levels of the density pyramid, that the coarse transport is solved on and that light is gathered
-    through. many: whether there are several.
+    through. many: whether there are several. coarser: octaves by which these cells are larger than usual.
     """
 
     def __init__(self, density: DensityReader, coarser: int) -> None:
-        """coarser: as of RayPredictor.coarsened."""
         self.coarse, self.fine = (np.ascontiguousarray(density.level(m + coarser)) for m in (LEVEL, GATHER_LEVEL))
-        self.many = coarser > 0
+        self.many, self.coarser = coarser > 0, coarser
         self.transport: tuple[Hashable, DiscreteOrdinates] | None = None
         self.depths: OpenDepths | None = None
         self.albedo: CoarseAlbedo | None = None
@@ -318,7 +317,7 @@ class RayPredictor(Predictor):
         if solved is None:
             if conditions.albedo is None:
                 solver = self._solver(conditions)
-                cells = solver.solve(light.source(len(self.coarse)), cancel)
+                cells = solver.extrapolated(light.source(len(self.coarse)), self._shared.coarser, cancel)
             else:
                 albedo = max(conditions.albedo, MIN_ALBEDO)
                 solver = self._new_solver(conditions, albedo)

@@ -7,11 +7,12 @@ is rendered as several rays, each ending at another distance.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..blur.eyes import Eyes
+from ..blur.shutter import corners_at, surface_frames
 from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
@@ -110,11 +111,16 @@ class DepthBuffer:
         """As `corner_distances`, (R, C), through points of the image in columns at x (C,) and rows at y (R,), each
         evenly spaced.
         """
+        return self.nearest(x, y, cancel)[0]
+
+    def nearest(self, x: np.ndarray, y: np.ndarray, cancel: CancelToken = NEVER) -> tuple[np.ndarray, np.ndarray]:
+        """As `point_distances`, and the numbers int (R, C) of the triangles there, -1 where there is none."""
         size = np.array([len(x), len(y)])
         near = self._near((x[0], y[0], x[-1], y[-1]))
         steps = [values[1] - values[0] if len(values) > 1 else 1.0 for values in (x, y)]
         corners = (self.corners[near] - [x[0], y[0]]) / steps
-        return self._along(rasterize_nearest(corners, self.value[near], size, cancel)[0], x, y)
+        largest, number = rasterize_nearest(corners, self.value[near], size, cancel)
+        return self._along(largest, x, y), np.append(self.number[near], -1)[number]
 
     def outlined(self, window: tuple[int, int, int, int]) -> np.ndarray:
         """bool (rows, columns): pixels of the window that an outline of a surface may cross, and those beside them.
@@ -176,22 +182,44 @@ class DepthBuffer:
         return depth * np.sqrt(1.0 + self.extent**2 * (u * u + v * v))
 
 
+@dataclass(frozen=True)
+class EyeDistances:
+    """Where surfaces end the rays of eyes through the pixels of a window.
+
+    distances: float32 (rows, columns, rays) along the rays; infinity where there is no surface. surface: int32 of the
+    same shape, the place in `frames` of the surface; -1 of one that stands still. frames: float64 (M, E, 3, 4), as of
+    Movement, of each surface that moves.
+    """
+
+    distances: np.ndarray
+    surface: np.ndarray
+    frames: Sequence[np.ndarray]
+
+
 def eye_distances(
     surfaces: Sequence[Surface], eyes: Eyes, window: tuple[int, int, int, int], cancel: CancelToken = NEVER
-) -> np.ndarray:
-    """Distances float32 (rows, columns, rays) along the rays of eyes through a window's pixels.
+) -> EyeDistances:
+    """Where surfaces end the rays of eyes through a window's pixels, each at the time at which it sees.
 
-    Infinity where there is no surface. Raises Cancelled.
+    Raises Cancelled.
     """
     x0, y0, x1, y1 = window
     distances = np.full((y1 - y0, x1 - x0, eyes.rays), np.inf, np.float32)
+    surface = np.full(distances.shape, -1, np.int32)
+    moving, still = ([one for one in surfaces if one.moves is moves] for moves in (True, False))
+    ends = np.cumsum([len(one.triangles) for one in moving])
     for number, eye in enumerate(eyes.cameras):
         columns, rows = eyes.pixels_of(number, window)
         if len(columns) and len(rows):
-            buffer = DepthBuffer(surfaces, eye, cancel)
-            found = buffer.point_distances(columns + 0.5, rows + 0.5, cancel)
-            distances[rows[:, None] - y0, columns - x0, number % eyes.rays] = found
-    return distances
+            then = [replace(one, triangles=corners_at(one, eyes.times[number]), deformed=None) for one in moving]
+            buffer = DepthBuffer([*then, *still], eye, cancel)
+            found, triangle = buffer.nearest(columns + 0.5, rows + 0.5, cancel)
+            place = rows[:, None] - y0, columns - x0, number % eyes.rays
+            distances[place] = found
+            if moving:
+                of = np.searchsorted(ends, triangle, side="right")
+                surface[place] = np.where((triangle >= 0) & (of < len(moving)), of, -1)
+    return EyeDistances(distances, surface, [surface_frames(one, eyes.times) for one in moving])
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,15 @@
 """Columns along a sun's rays through a grid, and how many of them a sparse grid stores."""
 
 from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..scene.sparse_grid import EDGE, SparseGrid
 
+# Numbers of slices, or one.
+Slices = TypeVar("Slices", int, np.ndarray)
 # Columns that a slice reaches before its first cell, and how many more columns than cells it reaches.
 BEFORE, MORE = 2, 3
 
@@ -41,15 +44,15 @@ class Shear:
         """Slices from first to before end, in the order in which the sun's light passes them."""
         return range(end - 1, first - 1, -1) if self.rising else range(first, end)
 
-    def number(self, index: int) -> int:
-        """By how many slices a slice is nearer to the sun than the farthest."""
+    def number(self, index: Slices) -> Slices:
+        """By how many slices a slice, or each of some (n,), is nearer to the sun than the farthest."""
         return index - self.farthest if self.rising else self.farthest - index
 
-    def shift(self, index: int) -> tuple[list[int], list[np.float32]]:
-        """By how much columns have moved on a slice, on both other axes: whole cells, and fractions."""
-        shifts = [slope * self.number(index) for slope in self.slopes]
-        whole = [int(np.floor(shift)) for shift in shifts]
-        return whole, [np.float32(shift - n) for shift, n in zip(shifts, whole)]
+    def shift(self, slices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By how much columns have moved on slices (n,): whole cells int64 (n, 2), and fractions float32 (n, 2)."""
+        shifts = self.number(slices)[:, None] * self.slopes
+        whole = np.floor(shifts)
+        return whole.astype(np.int64), (shifts - whole).astype(np.float32)
 
 
 class TilePlan:
@@ -69,10 +72,11 @@ class TilePlan:
 
     def place(self, index: int) -> list[tuple[int, int, np.float32]]:
         """Where block 0 begins on a slice, on both other axes: tile, column in it, and the fraction beyond."""
-        found = []
-        for whole, fraction, first in zip(*self.shear.shift(index), self.shear.first):
-            found.append((*divmod(-BEFORE - whole - first, EDGE), fraction))
-        return found
+        (whole,), (fractions,) = self.shear.shift(np.array([index]))
+        return [
+            (*divmod(int(-BEFORE - cells - first), EDGE), fraction)
+            for cells, fraction, first in zip(whole, fractions, self.shear.first)
+        ]
 
     def rows(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield rows of blocks from the sun on: number, and bool (tiles, tiles) that it changes and that it leaves.

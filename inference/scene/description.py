@@ -387,7 +387,9 @@ class Surface:
     shades: whether it shadows volumes from suns. stops: whether it absorbs light that volumes scatter. reflectance:
     fraction of its irradiance that it scatters back diffusely, scalar or RGB, in [0, 1]; float64 (3,) once made.
     emission: radiance that it emits on both sides, W/(m^2 sr), scalar or RGB, in [0, 1e30]; float64 (3,) once made.
-    receivers: names of the volumes and surfaces that its emission lights; None for all.
+    receivers: names of the volumes and surfaces that its emission lights; None for all. motion: how it moves as a whole
+    while the camera's shutter is open, or None. deformed: float64 (S, T, 3, 3), the corners at S > 1 evenly spaced
+    times from opening to closing, of one that also changes its shape; or None. Light knows it at the frame alone.
 
     Raises SceneError for corners that are not finite, and for reflectance or emission out of range.
     """
@@ -400,6 +402,8 @@ class Surface:
     reflectance: Any = (0.0, 0.0, 0.0)
     emission: Any = (0.0, 0.0, 0.0)
     receivers: frozenset[str] | None = None
+    motion: Motion | None = None
+    deformed: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         self.triangles = np.asarray(self.triangles, np.float64).reshape(-1, 3, 3)
@@ -411,6 +415,17 @@ class Surface:
         self.emission = rgb_triple(self.emission, f"{self.name}: emission")
         if np.any(self.emission < 0.0) or np.any(self.emission > MAX_IRRADIANCE):
             raise SceneError(f"{self.name}: emission must not be negative or above {MAX_IRRADIANCE:g}")
+        if self.deformed is not None:
+            self.deformed = np.asarray(self.deformed, np.float64)
+            if len(self.deformed) < 2 or self.deformed.shape[1:] != self.triangles.shape:
+                raise SceneError(f"{self.name}: deformed needs all corners at two times or more")
+            if not np.isfinite(self.deformed).all():
+                raise SceneError(f"{self.name}: its vertices hold NaN or infinite values while the shutter is open")
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is elsewhere, or has another shape, at some time of the shutter."""
+        return self.motion is not None or self.deformed is not None
 
     @property
     def shines(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...inference import RenderCache
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..runtime.atomic_write import atomic_write, make_folder
 from ..runtime.background import Worker
@@ -33,6 +34,7 @@ class Flipbook:
     fps: float = 24.0
     tiles: dict[int, Tile | None] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    _cache: RenderCache = field(default_factory=RenderCache)
 
     def warn(self, text: str) -> None:
         """Remember a warning once."""
@@ -60,7 +62,8 @@ class Flipbook:
         tile = None
         if scene.volumes:
             try:
-                tile = render_tile(scene, settings, self.angle, self._until_next(scene.frame), progress, cancelled)
+                until = self._until_next(scene.frame)
+                tile = render_tile(scene, settings, self.angle, until, progress, cancelled, self._cache)
             except SceneError as problem:
                 self.warn(f"frame {scene.frame} is an empty tile: {problem}")
         elif not any(text.startswith(f"frame {scene.frame} ") for text in self.warnings):

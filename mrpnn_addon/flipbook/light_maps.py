@@ -27,7 +27,7 @@ SIDES = {
 # A white matte surface that faces a sun of this irradiance has radiance 1.
 IRRADIANCE = np.pi
 # Interpolating light between six sides errs far more than this makes the maps err.
-TOLERANCE = 4.0
+TOLERANCE = 6.0
 # Relative differences of colour channels above which a medium is coloured.
 COLOURED = 0.01
 
@@ -54,11 +54,12 @@ def render_tile(
     frames: int = 1,
     progress: Callable[[float, str], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    cache: inference.RenderCache | None = None,
 ) -> Tile:
     """The light maps of a scene as its camera sees it, whose own lights are left out.
 
     angle: angular diameter of the suns, radians. What six maps cannot tell, light between the sides, is then smoother.
-    frames: until the next tile.
+    frames: until the next tile. cache: of earlier tiles.
 
     Three suns share a render: a sun that shines in one colour channel only is alone in this channel of the picture,
     because the media are made grey. Raises SceneError, and Cancelled when `cancelled()` returns True.
@@ -71,7 +72,7 @@ def render_tile(
     still = [(replace(volume, velocity=None), medium) for volume, medium in scene.volumes]
     volumes = [(without_emission(volume), grey(medium)) for volume, medium in still]
     glows = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in scene.volumes)
-    cache, parts = inference.RenderCache(), 2 + glows
+    cache, parts = cache or inference.RenderCache(), 2 + glows
     flows = any(volume.velocity is not None for volume, _ in scene.volumes)
     settings = replace(settings, tolerance=TOLERANCE, states_error=False)
     told = replace(settings, outputs=settings.outputs | {"median"}) if flows else settings

@@ -33,9 +33,13 @@ class Mesh:
         """Whether all vertices are finite and in range."""
         return bool(np.abs(self.places).max(initial=0.0) <= LARGEST)
 
-    def triangles(self, matrix: np.ndarray = IDENTITY) -> np.ndarray:
-        """float64 (T, 3, 3) corners, transformed by a matrix (4, 4)."""
-        places = self.places.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    def triangles(self, matrix: np.ndarray = IDENTITY, places: np.ndarray | None = None) -> np.ndarray:
+        """float64 (T, 3, 3) corners, transformed by a matrix (4, 4).
+
+        places: (V, 3), other ones of the vertices.
+        """
+        places = self.places if places is None else places
+        places = places.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         return places[self._vertices()]
 
     def _vertices(self) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""*Motion Blur*: when the shutter is open, and where cameras and volumes are then."""
+"""*Motion Blur*: when the shutter is open, and where cameras, volumes and surfaces are then."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,13 +12,14 @@ import numpy as np
 from ...inference.scene import Camera, SceneError, Shutter
 from ..nodes.material import SURFACES, shows_volume
 from .camera import read_camera
+from .mesh_triangles import read_mesh
 from .views import view_camera
 from .visibility import visible_objects
 
 #: Goes to a frame and a subframe from 0 to 1, and evaluates the scene there.
 GoTo = Callable[[int, float], None]
-# What motion blur leaves as it is, after the object's name.
-MOVES = "moves; it hides and shades volumes where it is in the frame, without motion blur"
+# Of fog, after the object's name.
+DEFORMS = "changes its shape; its fog has the shape of the frame, without motion blur"
 # Values of a shutter curve: as many as Cycles reads.
 CURVE = 256
 # Changes of transforms below this fraction of their size are rounding.
@@ -36,12 +37,14 @@ def uses_motion_blur(depsgraph: "bpy.types.Depsgraph") -> bool:
 class FrameMotion:
     """What moves while the shutter is open.
 
-    shutters: of the cameras of views; None where neither they nor volumes move. volumes: matrices (S, 4, 4) of those
-    that move, by the keys of `VisibleObject`. warnings: what moves and is rendered as if it stood still.
+    shutters: of the cameras of views; None where nothing moves. matrices: (S, 4, 4) of the volumes and surfaces that
+    move, by the keys of `VisibleObject`. vertices: float32 (S, V, 3), in object space, of the surfaces that change
+    their shape. warnings: what changes its shape and is rendered with that of the frame.
     """
 
     shutters: list[Shutter | None]
-    volumes: dict[tuple, np.ndarray]
+    matrices: dict[tuple, np.ndarray]
+    vertices: dict[tuple, np.ndarray]
     warnings: list[str]
 
 
@@ -59,17 +62,20 @@ def read_motion(
     """
     scene = depsgraph.scene
     if not uses_motion_blur(depsgraph):
-        return FrameMotion([None] * len(views), {}, [])
+        return FrameMotion([None] * len(views), {}, {}, [])
     # At another time, a marker may bind another one.
     cameras = [view_camera(scene, view).original for view in views]
     steps, counts = [motion_steps(camera) for camera in cameras], {}
-    surfaces, warnings = {}, []
+    shapes: dict[tuple, list[np.ndarray]] = {}
+    fogs: dict[tuple, str] = {}
     for shown in visible_objects(depsgraph):
         count = motion_steps(shown.object) if motion_steps(shown.host) else 0
-        if count and shows_volume(shown.object):
+        if count and (shows_volume(shown.object) or shown.object.type in SURFACES):
             counts[shown.key] = count
-        elif count and shown.object.type in SURFACES:
-            counts[shown.key], surfaces[shown.key] = count, f'{shown.object.type.lower()} object "{shown.name}"'
+            if shown.object.type in SURFACES and _may_deform(shown.object):
+                shapes[shown.key] = []
+                if shows_volume(shown.object):
+                    fogs[shown.key] = f'{shown.object.type.lower()} object "{shown.name}"'
     most, kept = max([*steps, *counts.values()], default=0), (scene.frame_current, scene.frame_subframe)
     times = np.linspace(*shutter_interval(scene), most) if most else ()
     seen: list[list[Camera]] = []
@@ -82,25 +88,44 @@ def read_motion(
             for shown in visible_objects(depsgraph):
                 if shown.key in places:
                     places[shown.key].append(shown.matrix)
+                if shown.key in shapes:
+                    shapes[shown.key].append(read_mesh(shown.object).places)
     finally:
         if most:
             go_to(*kept)
     # Those that have fewer steps are seen at every other time, every fourth, or fewer.
     every = {count: (most - 1) // (count - 1) for count in (*steps, *counts.values()) if count}
-    moving = {}
+    moving, deformed, warnings = {}, {}, []
     for key, matrices in places.items():
         steps_seen = matrices[:: every[counts[key]]]
         # What is not there all the time stands still, as in Cycles.
         if len(matrices) == most and not all(np.allclose(matrix, steps_seen[0], STILL, STILL) for matrix in steps_seen):
             moving[key] = np.array(steps_seen)
+    for key, vertices in shapes.items():
+        steps_seen = vertices[:: every[counts[key]]]
+        # Vertices that come and go stand still, as in Cycles.
+        if len(vertices) == most and len({len(one) for one in steps_seen}) == 1:
+            shape = np.array(steps_seen)
+            if not shape.size or np.ptp(shape, axis=0).max() <= STILL * np.abs(shape).max():
+                continue
+            if key in fogs:
+                warnings.append(f"{fogs[key]} {DEFORMS}")
+            else:
+                deformed[key], moving[key] = shape, np.array(places[key][:: every[counts[key]]])
     curve = shutter_curve(scene.render)
     shutters = [
         _shutter([then[n] for then in seen[:: every[count]]] if count else [], curve) for n, count in enumerate(steps)
     ]
-    warnings += [f"{surfaces[key]} {MOVES}" for key in moving if key in surfaces]
-    volumes = {key: matrices for key, matrices in moving.items() if key not in surfaces}
-    blurred = [shutter or (Shutter(curve=curve) if volumes or flows else None) for shutter in shutters]
-    return FrameMotion(blurred, volumes, list(dict.fromkeys(warnings)))
+    blurred = [shutter or (Shutter(curve=curve) if moving or flows else None) for shutter in shutters]
+    return FrameMotion(blurred, moving, deformed, list(dict.fromkeys(warnings)))
+
+
+def _may_deform(shown: "bpy.types.Object") -> bool:
+    """Whether the shape of an object may change in time, and Cycles looks for that."""
+    settings: Any = getattr(shown.original, "cycles", None)
+    keys = getattr(shown.original.data, "shape_keys", None)
+    animated = keys or shown.original.modifiers or getattr(shown.original.data, "animation_data", None)
+    return bool(animated) and getattr(settings, "use_deform_motion", True)
 
 
 def _shutter(cameras: Sequence[Camera], curve: tuple[float, ...]) -> Shutter | None:

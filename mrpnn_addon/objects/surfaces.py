@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...inference.scene import SceneError, Surface
+from ...inference.scene import Motion, SceneError, Surface
 from ..nodes.material import MESHES, has_volume, materials, only_volume
 from ..nodes.sockets import Source, Unsupported, active_output, input_of, source_of
 from ..nodes.surface_colour import SurfaceColour, surface_colour
@@ -27,7 +27,8 @@ class OpaqueMesh:
     """A `Surface` whose triangles are not made yet.
 
     name, covers, shades, stops, receivers: see `Surface`. matrix: (4, 4), object to world. colour: mean of its
-    materials.
+    materials. key: as of `VisibleObject`. matrices: (S, 4, 4) of one that moves while the shutter is open, or None.
+    vertices: float32 (S, V, 3) of one that also changes its shape then, in object space, or None.
     """
 
     mesh: Mesh
@@ -38,10 +39,17 @@ class OpaqueMesh:
     stops: bool
     colour: SurfaceColour
     receivers: frozenset[str] | None = None
+    key: tuple = ()
+    matrices: np.ndarray | None = None
+    vertices: np.ndarray | None = None
 
     def surface(self) -> Surface:
         """The `Surface`; any thread may call this. Raises SceneError where its vertices are not finite."""
-        triangles, colour = self.mesh.triangles(self.matrix), self.colour
+        triangles, colour, motion, deformed = self.mesh.triangles(self.matrix), self.colour, None, None
+        if self.matrices is not None and self.vertices is not None:
+            deformed = np.stack([self.mesh.triangles(*then) for then in zip(self.matrices, self.vertices)])
+        elif self.matrices is not None:
+            motion = Motion(self.matrices, self.matrix)
         return Surface(
             triangles,
             self.name,
@@ -51,6 +59,8 @@ class OpaqueMesh:
             colour.reflectance,
             colour.emission,
             self.receivers,
+            motion,
+            deformed,
         )
 
 
@@ -99,7 +109,7 @@ def read_surface(
     ignored = ignored_settings(shown.object, SHINING, where) if colour.emission.any() else []
     if hides_own_fog(shown.object):
         ignored.append(f"{where} {OWN_FOG}")
-    return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour), ignored
+    return OpaqueMesh(mesh, shown.matrix, where, covers, shades, stops, colour, key=shown.key), ignored
 
 
 def hides_own_fog(shown: "bpy.types.Object") -> bool:

@@ -200,8 +200,12 @@ def _add_motion(
     shutter, *shutters = found.shutters
     description.warnings += found.warnings
     for (volume, _), (key, matrix) in zip(description.volumes, description.placed):
-        if key in found.volumes:
-            volume.motion = Motion(found.volumes[key], matrix)
+        if key in found.matrices:
+            volume.motion = Motion(found.matrices[key], matrix)
+    for mesh in description.opaque:
+        mesh.matrices = found.matrices.get(mesh.key)
+        vertices = found.vertices.get(mesh.key)
+        mesh.vertices = vertices if vertices is not None and vertices.shape[1:] == mesh.mesh.places.shape else None
     description.camera = replace(description.camera, shutter=shutter)
     description.views = [
         replace(view, camera=replace(view.camera, shutter=own))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from inference.grids.bound_medium import BoundMedium
-from inference.grids.optical_depth_sweep import Fraction, Weights, cubic, linear
+from inference.grids.optical_depth_sweep import Weights, cubic, linear
 from inference.grids.sparse_columns import SparseColumns
 from inference.grids.sun_optical_depth import MAX_DEPTH, VISIBLE, DenseColumns, SunOpticalDepth
 from inference.numerics.interpolation import lerp_into
@@ -19,7 +19,7 @@ GAUSS_NODES = (np.float32(0.5 - 0.5 / np.sqrt(3.0)), np.float32(0.5 + 0.5 / np.s
 ZERO = np.float32(0.0)
 
 
-def shift_up(planes: np.ndarray, f_b: Fraction, f_c: Fraction, weights: Weights) -> np.ndarray:
+def shift_up(planes: np.ndarray, f_b: np.float32, f_c: np.float32, weights: Weights) -> np.ndarray:
     """Resample planes (..., b, c), 0 outside, at points a fraction beyond each cell.
 
     f_b, f_c: fractions along b and c, which grow by MORE, from BEFORE cells before the first. weights: `linear` or
@@ -35,7 +35,7 @@ def shift_up(planes: np.ndarray, f_b: Fraction, f_c: Fraction, weights: Weights)
     return planes
 
 
-def shift_back(columns: np.ndarray, f_b: Fraction, f_c: Fraction) -> np.ndarray:
+def shift_back(columns: np.ndarray, f_b: np.float32, f_c: np.float32) -> np.ndarray:
     """Depths at the cells, from columns placed as by `shift_up`."""
     first, end = BEFORE, len(columns) - MORE + BEFORE
     b = columns[first:end] * (1 - f_b) + columns[first - 1 : end - 1] * f_b
@@ -60,7 +60,7 @@ def sweep(
     half_step = np.float32(shear.half_step * step_length)
     columns = np.zeros(shear.size, np.float32)
     for index in shear.towards_sun(0, len(slices)):
-        (whole_b, whole_c), (f_b, f_c) = shear.shift(index)
+        [(whole_b, whole_c)], [(f_b, f_c)] = shear.shift(np.array([index]))
         # Column p meets the slice at p + slope * k, so cell 0 touches columns from -whole - BEFORE.
         start_b, start_c = -whole_b - BEFORE - shear.first[0], -whole_c - BEFORE - shear.first[1]
         window = columns[start_b : start_b + nb + MORE, start_c : start_c + nc + MORE]

@@ -183,3 +183,24 @@ def test_positions_in_the_world_find_their_cells():
     along = np.array([[0.0, 0.6, 0.8]])
     flux = np.concatenate([[1.0], 0.2 * cube.directions(along)[0]])
     assert light.towards(along)[0] @ flux == pytest.approx(1.0 - 0.2, abs=1e-6)
+
+
+@pytest.mark.parametrize("octaves", [1, 2])
+@pytest.mark.parametrize(("anisotropy", "most"), [(0.0, 0.75), (0.6, 0.97)])
+def test_light_on_larger_cells_is_extrapolated_to_that_on_usual_ones(cloud, octaves, anisotropy, most):
+    """At cells that hold density, in relative terms: where networks read it."""
+    usual, density = DiscreteOrdinates(cloud, 20.0, anisotropy), cloud
+    for _ in range(octaves):
+        density = usual.means(density)
+    larger, filled = DiscreteOrdinates(density, 20.0, anisotropy), density > 0.1
+    expected = usual.solve(SunBeam(SLANT))[0]
+    for _ in range(octaves):
+        expected = usual.means(expected)
+
+    def error(fluence):
+        return np.sqrt(np.mean(np.log(fluence / expected)[filled] ** 2))
+
+    found = larger.solve(SunBeam(SLANT))
+    extrapolated = larger.extrapolated(SunBeam(SLANT), octaves)
+    assert error(extrapolated[0]) < most * error(found[0])
+    assert np.array_equal(larger.extrapolated(SunBeam(SLANT), 0), found)

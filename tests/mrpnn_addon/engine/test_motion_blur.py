@@ -176,13 +176,63 @@ def flowing(scene, folder, unit="FRAME"):
     scene.frame_set(FRAME)
 
 
-def test_meshes_that_move_are_named(addon, motion_scene):
-    mesh = bpy.data.meshes.new("Wall")
-    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
-    keyed(make.add_object(motion_scene, "Wall", mesh), "location", {FRAME - 2: (0, 0, 0), FRAME + 2: (1, 0, 0)})
-    assert 'mesh object "Wall" moves' in "\n".join(read(motion_scene).warnings)
+def add_wall(scene, width=0.2):
+    """A wall in front of the middle of the cloud, which hides it and throws no shadow."""
+    mesh, x = bpy.data.meshes.new("Wall"), 0.5 * width
+    mesh.from_pydata([(-x, -0.7, 0), (x, -0.7, 0), (x, 0.7, 0), (-x, 0.7, 0)], [], [(0, 1, 2, 3)])
+    wall = make.add_object(scene, "Wall", mesh)
+    wall.location.z, wall.is_holdout = 0.8, True
+    wall.visible_shadow = wall.visible_volume_scatter = False
+    return wall
+
+
+def passing_wall(scene):
+    """It crosses the cloud, and turns."""
+    wall = add_wall(scene)
+    keyed(wall, "location", {FRAME - 2: (-0.5, 0.0, 0.8), FRAME + 2: (0.5, 0.0, 0.8)})
+    keyed(wall, "rotation_euler", {FRAME - 2: (0.0, 0.0, -0.4), FRAME + 2: (0.0, 0.1, 0.4)})
+
+
+def growing_wall(scene):
+    """It changes its shape: its right side moves."""
+    wall = add_wall(scene)
+    wall.shape_key_add(name="Basis")
+    key = wall.shape_key_add(name="Wide")
+    for number in (1, 2):
+        key.data[number].co.x += 0.6
+    for frame, value in ((FRAME - 1, 0.0), (FRAME + 1, 1.0)):
+        key.value = value
+        key.keyframe_insert("value", frame=frame)
+
+
+def test_meshes_move_and_change_their_shape_in_the_shutter(addon, motion_scene):
+    passing_wall(motion_scene)
+    motion_scene.frame_set(FRAME, subframe=0.25)
+    [surface] = read(motion_scene).surfaces
+    assert where(motion_scene) == (FRAME, 0.25) and surface.deformed is None
+    assert [matrix[0, 3] for matrix in surface.motion.world_matrices] == pytest.approx([-0.0625, 0.0625, 0.1875])
+    motion_scene.objects["Wall"].cycles.use_motion_blur = False
+    assert not read(motion_scene).surfaces[0].moves
+    bpy.data.objects.remove(motion_scene.objects["Wall"])
+    growing_wall(motion_scene)
+    motion_scene.frame_set(FRAME)
+    [surface] = read(motion_scene).surfaces
+    right = surface.deformed[..., 0].max(axis=(1, 2))
+    assert surface.motion is None and right[1] == pytest.approx(surface.triangles[..., 0].max())
+    assert (np.diff(right) > 0.1).all()
+    motion_scene.objects["Wall"].cycles.use_deform_motion = False
+    assert not read(motion_scene).surfaces[0].moves
     motion_scene.render.use_motion_blur = False
-    assert "moves" not in "\n".join(read(motion_scene).warnings)
+    assert not read(motion_scene).surfaces[0].moves
+
+
+def test_fog_that_changes_its_shape_is_named(addon, motion_scene):
+    growing_wall(motion_scene)
+    wall = motion_scene.objects["Wall"]
+    make.add_fog(wall.data, "Fog", "ShaderNodeVolumePrincipled", Density=1.0)
+    assert 'mesh object "Wall" changes its shape' in "\n".join(read(motion_scene).warnings)
+    wall.cycles.use_deform_motion = False
+    assert "changes its shape" not in "\n".join(read(motion_scene).warnings)
 
 
 @pytest.mark.parametrize("parts", [False, True])
@@ -262,6 +312,16 @@ def test_pictures_are_as_blurred_as_in_cycles(addon, motion_scene, tmp_path, mov
     for sharp, blurred in zip(errors[False], errors[True]):
         assert blurred < sharp + 0.04
     assert (motion_scene.frame_current, motion_scene.frame_subframe) == (FRAME, 0.0)
+
+
+@pytest.mark.slow(seconds=60)
+@pytest.mark.parametrize("move", [passing_wall, growing_wall])
+def test_what_moving_meshes_hide_is_as_in_cycles(addon, motion_scene, tmp_path, move):
+    move(motion_scene)
+    errors, change = errors_against_cycles(motion_scene, tmp_path)
+    assert change > 1.0
+    for sharp, blurred in zip(errors[False], errors[True]):
+        assert blurred < sharp + 0.15 * change
 
 
 @pytest.mark.slow(seconds=90)
