@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 30
+#define MRPNN_INTERFACE 31
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -184,6 +184,9 @@ typedef struct {
     int64_t flowing;                 /* whether velocities carry what any of the volumes holds */
     int64_t varying, scattering;     /* how many albedos vary, and colour channels whose scattering is gathered */
     const Medium *media;             /* (volumes) */
+    const double *spheres;           /* (volumes, 4), centres and radii in the world, around all that a ray may meet of
+                                        each; or NULL */
+    const double *sun_directions;    /* (suns, 3) in the world; or NULL */
     const int64_t *group_starts;     /* (groups + 1) in `group_members` */
     const int64_t *group_members;    /* numbers of volumes */
     const ShadowMap *shadow_maps;    /* (suns), or NULL where no surface shadows volumes */

@@ -178,9 +178,8 @@ static void add_single(const Scene *scene, int64_t l, Work *work, double *single
         Floats scattered = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
         store(light + s, scene->shadow_maps ? scattered * load(work->visible + s) : scattered);
     }
-    for (int64_t n = 0; n < scene->volumes * scene->scattering; n++) {
-        int64_t v = n / scene->scattering, c = n % scene->scattering;
-        if (!work->is_met[v]) continue;
+    for (int64_t n = 0; n < work->met_count * scene->scattering; n++) {
+        int64_t v = work->met[n / scene->scattering], c = n % scene->scattering;
         single[(v * scene->suns + l) * scene->scattering + c] += sum_of(scattering_of(scene, work, v, c), light, work);
     }
 }
@@ -203,7 +202,7 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
     int64_t first = scene->group_members[scene->group_starts[g]];
     ray = ray_of(scene->media + first, ray, &moved);
     Line line = line_in(fluence->linear, fluence->offset, ray);
-    line.shifts = work->lines[first].shifts, line.last = work->lines[first].last;
+    if (work->is_met[first]) line.shifts = work->lines[first].shifts, line.last = work->lines[first].last;
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {
         double sum = 0.0;

@@ -337,12 +337,42 @@ static int may_shade(const Medium *medium, const SunColumns *sun, const Line *li
     return from <= to;
 }
 
+static inline double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* Squared distance of a point from the segment from 0 to `longest` along a direction. */
+static inline double segment_distance(const double *point, const double *direction, double longest) {
+    double square = dot(direction, direction), along = square > 0.0 ? dot(point, direction) / square : 0.0;
+    along = along > 0.0 ? along < longest ? along : longest : 0.0;
+    double apart[3] = {point[0] - along * direction[0], point[1] - along * direction[1], point[2] - along * direction[2]};
+    return dot(apart, apart);
+}
+
+/* Whether a sphere (4,) is away from a ray and from all that lies between it and the suns. */
+static inline int far_away(const Scene *scene, const double *sphere, const Ray *ray) {
+    double longest = (double)ray->count * ray->dt, square = sphere[3] * sphere[3], centre[3];
+    for (int k = 0; k < 3; k++) centre[k] = sphere[k] - ray->origin[k] - ray->near * ray->direction[k];
+    if (!(segment_distance(centre, ray->direction, longest) > square)) return 0;
+    for (int64_t l = 0; l < scene->suns; l++) {
+        /* Seen along the sun's light. */
+        const double *sun = scene->sun_directions + 3 * l;
+        double ahead = dot(centre, sun), lean = dot(ray->direction, sun), lowest = lean < 0.0 ? lean * longest : 0.0;
+        double across[3], direction[3];
+        for (int k = 0; k < 3; k++) across[k] = centre[k] - ahead * sun[k], direction[k] = ray->direction[k] - lean * sun[k];
+        if (!(ahead + sphere[3] < lowest) && !(segment_distance(across, direction, longest) > square)) return 0;
+    }
+    return 1;
+}
+
 /* Find the volumes that matter to a ray: lamps shine from everywhere, and a volume alone always matters. */
 static void find_met(const Scene *scene, const Ray *ray, Work *work) {
     int all = scene->volumes == 1 || scene->lamps > 0;
     work->met_count = work->active_count = 0;
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
+        if (!all && scene->spheres && far_away(scene, scene->spheres + 4 * v, ray)) {
+            work->is_met[v] = work->shades[v] = 0;
+            continue;
+        }
         work->lines[v] = line_through(medium, ray);
         work->is_met[v] = (uint8_t)(all || meets(medium, work->lines + v, ray));
         work->shades[v] = (uint8_t)(all || medium->times);

@@ -121,6 +121,7 @@ class Marcher:
             groups=len(groups),
             varying=found._varying,
             media=structures.rows_of(self._scene.fields["media"], volumes),
+            spheres=None if self._scene.fields["spheres"] is None else self._scene.fields["spheres"][volumes],
             group_starts=starts,
             group_members=members,
             fluence=structures.rows_of(self._scene.fields["fluence"], groups),
@@ -138,7 +139,7 @@ class Marcher:
     def _in_lamps_alone(self) -> "Marcher":
         """The same without features and suns."""
         dark = [replace(medium, sun_depths=[]) for medium in self._media]
-        options = replace(self._options, depth_samples=1, fluence=None, shadow_maps=None, most_detail=1)
+        options = replace(self._options, depth_samples=1, fluence=None, shadow_maps=None, most_detail=1, suns=None)
         lamps = self._lamps and replace(self._lamps, fluence=None)
         return Marcher(dark, options, self._indices, self._stop, lamps)
 
@@ -253,6 +254,8 @@ class Marcher:
             varying=self._varying,
             scattering=len(options.scattering),
             media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
+            spheres=None if options.suns is None else np.array([medium.sphere for medium in self._media]).reshape(-1, 4),
+            sun_directions=None if options.suns is None else np.ascontiguousarray(options.suns, np.float64),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
