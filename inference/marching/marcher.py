@@ -87,6 +87,7 @@ class Marcher:
         self._groups = options.groups or [[v] for v in range(len(media))]
         self._suns = len(media[0].sun_depths) if media else 0
         self._scene = self._describe(list(channels))
+        # Shared by those through some of the groups, since untouched memory takes time.
         self._local = threading.local()
 
     @property
@@ -126,7 +127,6 @@ class Marcher:
             group_members=members,
             fluence=structures.rows_of(self._scene.fields["fluence"], groups),
         )
-        found._local = threading.local()
         return found
 
     def without_features(self) -> "Marcher":
@@ -151,7 +151,6 @@ class Marcher:
         found._lamps = replace(whole._lamps, lamps=[whole._lamps.lamps[number]], means=[whole._lamps.mean(number)])
         listed = structures.rows_of(whole._scene.fields["lamp_list"], [number])
         found._scene = structures.copied(whole._scene, lamps=1, lamp_list=listed)
-        found._local = threading.local()
         return found
 
     def __call__(self, rays: RayBatch) -> RaySegment:
@@ -240,6 +239,7 @@ class Marcher:
 
     def _describe(self, channels: list[int]) -> structures.Shared:
         options, most, lamps = self._options, self._options.depth_samples, self._lamps
+        suns = options.suns
         wide, wide_weights = legendre_nodes(MANY)
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
@@ -254,8 +254,8 @@ class Marcher:
             varying=self._varying,
             scattering=len(options.scattering),
             media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
-            spheres=None if options.suns is None else np.array([medium.sphere for medium in self._media]).reshape(-1, 4),
-            sun_directions=None if options.suns is None else np.ascontiguousarray(options.suns, np.float64),
+            spheres=None if suns is None else np.array([medium.sphere for medium in self._media]).reshape(-1, 4),
+            sun_directions=None if suns is None else np.ascontiguousarray(suns, np.float64),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
