@@ -78,6 +78,18 @@ def test_pictures_hardly_change(distance):
     assert 0.0 < change(found, expected) < 5e-3
 
 
+@pytest.mark.parametrize("even", [True, False])
+def test_an_even_world_is_asked_once_on_each_ray_of_a_small_volume(even):
+    lights = LIGHTS[1:] if even else [Environment(np.random.default_rng(0).random((8, 16, 3)))]
+    # They overlap, so that rays meet either's samples in turn.
+    pairs = [(volume_at(place, angle), MEDIUM) for place, angle in ((-0.2, 0.0), (0.7, 0.0))]
+    view = camera(30.0, resolution=(96, 64))
+    found, expected = (render(pairs, lights, view, settings) for settings in (SETTINGS, WHOLE))
+    few, many = (layer.report.counts["network points"] for layer in (found, expected))
+    assert few <= found.report.counts["rays that meet density"] * 2 and few < 0.7 * many if even else few == many
+    assert change(found, expected) < 5e-3
+
+
 def volume_at(place, angle):
     cosine, sine = np.cos(angle), np.sin(angle)
     matrix = np.eye(4)
