@@ -224,6 +224,7 @@ typedef struct {
     const int64_t *eyes;                 /* (rays), of those by which volumes move, or NULL: all stand still */
     const int64_t *detail;               /* (rays), times as many depth samples, at most `most_detail`, or NULL: once */
     int64_t max_count;                   /* no count may be larger: `scratch` is made for it */
+    int64_t most_met;                    /* volumes that one ray meets at most, of scratch_bytes */
     const volatile int32_t *stop;        /* not 0: return as soon as possible */
     void *scratch;
 } Rays;

@@ -174,7 +174,7 @@ class Marcher:
             max_count=int(counts.max(initial=1)),
             stop=self._stop,
         )
-        scratch = self._scratch(batch.max_count)
+        scratch = self._scratch(batch)
         batch.scratch = scratch.ctypes.data
         alpha, depth = np.empty((2, count))
         scattering = len(self._options.scattering)
@@ -230,9 +230,9 @@ class Marcher:
             scattering_depth=scattering_depth,
         )
 
-    def _scratch(self, max_count: int) -> np.ndarray:
-        """Scratch memory of the calling thread."""
-        size = self._kernels.scratch_bytes(self._scene, max_count)
+    def _scratch(self, batch: structures.Shared) -> np.ndarray:
+        """Scratch memory of the calling thread, for a batch of rays."""
+        size = self._kernels.scratch_bytes(self._scene, batch)
         if getattr(self._local, "scratch", None) is None or len(self._local.scratch) < size:
             self._local.scratch = np.empty(size, np.uint8)
         return self._local.scratch

@@ -193,3 +193,14 @@ def test_volumes_far_from_a_ray_change_nothing(seed):
     everything = dataclasses.replace(scene, options=dataclasses.replace(scene.options, suns=None))
     for name, expected in quantities(compiled(everything)).items():
         np.testing.assert_array_equal(quantities(compiled(scene))[name], expected, err_msg=name)
+
+
+def test_rays_take_the_memory_of_the_volumes_that_they_meet():
+    scene = random_scene(1, Recipe(volumes=24, voxels=(8, 8, 8)), rays=4)
+    held = []
+    for suns in (scene.options.suns, None):
+        options = dataclasses.replace(scene.options, suns=suns)
+        marcher = Marcher(scene.media, options, scene.channels, ctypes.c_int32(0))
+        marcher(scene.rays)
+        held.append(len(marcher._local.scratch))
+    assert held[0] < 0.6 * held[1]
