@@ -54,7 +54,7 @@ COMMANDS = (
     "benchmarks.cost.environments --rounds 3",
     MANY_LAMPS,
     LAMPS,
-    "benchmarks.cost.sparse --cells 2048 --share 0.01 --size 960 540",
+    "benchmarks.cost.sparse",
     SKY,
     TURNED_SKY,
     "benchmarks.cost.puffs",
