@@ -32,6 +32,8 @@ CODE = ("inference", "evaluation", "mrpnn_addon", "operators", "panels", "traini
 RENDERER = ("inference", "mrpnn_addon")
 SYSTEMS = "--models mrpnn mrpnn-paper mrpnn-narrow mrpnn-wide rpnn"
 EEVEE = "benchmarks.cycles.baked_eevee"
+SKY = "benchmarks.cost.sky --counts 1 10 100 1000 10000 --clouds 5 --whole"
+TURNED_SKY = "benchmarks.cost.sky --counts 1 10 40 --clouds 5 --turned --whole"
 MANY_LAMPS = (
     "benchmarks.cost.lamps --rounds 5 --sizes 64x64 --only 'four suns' 'four point lights' 'twelve spots of a stage'"
     " 'thirty lamps of a street' 'thirty-six panels of a ceiling'"
@@ -53,7 +55,8 @@ COMMANDS = (
     MANY_LAMPS,
     LAMPS,
     "benchmarks.cost.sparse",
-    "benchmarks.cost.sky --voxels 64",
+    SKY,
+    TURNED_SKY,
     "benchmarks.cost.puffs",
     "benchmarks.cycles.baked_frames",
     "gallery --compare 320 180 --reference 120 --docs",
@@ -110,6 +113,9 @@ COMMANDS_5 = (
 #: What prints a table: the name of its CSV file in docs/tables.
 TABLES = {
     "benchmarks.cost.frame --table": "speed-frame",
+    SKY: "speed-sky",
+    TURNED_SKY: "speed-sky-turned",
+    "benchmarks.cost.puffs": "speed-puffs",
     "training.evaluate --held data/test --checkpoint inference/weights/mrpnn.onnx": "weights-points",
     "benchmarks.cost.speed": "speed-stages",
     "benchmarks.cost.environments --rounds 3": "speed-environments",

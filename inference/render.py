@@ -223,6 +223,7 @@ def _channel_pass(context: RenderContext, scene: PreparedScene, channels: Channe
         settings.optimizations,
         scattering=scattering_channels(media, channels.indices),
         most_detail=detail,
+        suns=np.array([sun.direction for sun in scene.plan.suns]).reshape(-1, 3),
     )
     lamps = prepare_lamp_march(context, scene, channels, np.count_nonzero(scene.shown))
     march = Marcher(media, options, channels.indices, context.tasks.stopping, lamps)

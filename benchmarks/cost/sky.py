@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Processor seconds and memory of many instances of one cloud beside those of a single volume.
+"""Processor seconds and memory of many instances of a few clouds beside those of a single volume.
 
-    python -m benchmarks.cost.sky [--counts 1 40 200 1000] [--voxels 156] [--size 480x270] [--turned] [--whole]
+    python -m benchmarks.cost.sky [--counts 1 40 200 1000] [--clouds 1] [--voxels 156] [--size 480x270] [--turned]
+                                  [--whole]
 
-Renders so many instances of a procedural cloud, spread over a plane and lit by a sun and a grey World, each in a new
+Renders so many instances of procedural clouds, spread over a plane and lit by a sun and a grey World, each in a new
 process, and prints their processor seconds by stage, and both beside those of one instance that fills the picture.
 With --turned each is turned about the vertical by an angle of its own, and smaller by up to a third. With --whole the
 same is rendered without levels of detail: seconds beside those, and the root mean square difference over that of the
@@ -34,12 +35,12 @@ THICKNESS = 60.0
 SHARE = 0.7
 
 
-def instances(count: int, voxels: int, turned: bool) -> list[tuple[Volume, Medium]]:
-    """So many instances of one array on a square of edge 1 around the origin."""
-    density = np.asarray(make_volume(SEED, voxels).density, np.float32)
+def instances(count: int, voxels: int, turned: bool, clouds: int = 1) -> list[tuple[Volume, Medium]]:
+    """So many instances of a few arrays, in turn, on a square of edge 1 around the origin."""
+    made = [np.asarray(make_volume(SEED + n, voxels).density, np.float32) for n in range(min(clouds, count))]
     across, rng = int(np.ceil(np.sqrt(count))), np.random.default_rng(0)
     edge = SHARE / across
-    medium = Medium(THICKNESS / (edge * float(density.max())), 0.99, 0.5)
+    media = [Medium(THICKNESS / (edge * float(density.max())), 0.99, 0.5) for density in made]
     pairs = []
     for number in range(count):
         row, column = divmod(number, across)
@@ -51,7 +52,8 @@ def instances(count: int, voxels: int, turned: bool) -> list[tuple[Volume, Mediu
         # A turned cube reaches further.
         matrix[:3, :3] *= 0.7 * rng.uniform(0.67, 1.0) if turned else 1.0
         matrix[:3, 3] = place * [1.0, 1.0, 0.0] - matrix[:3, :3] @ np.full(3, 0.5 * (voxels - 1))
-        pairs.append((Volume(density, matrix, f"cloud {number}"), medium))
+        which = number % len(made)
+        pairs.append((Volume(made[which], matrix, f"cloud {number}"), media[which]))
     return pairs
 
 
@@ -66,7 +68,7 @@ def camera(size: tuple[int, int]) -> Camera:
 def measure(arguments: argparse.Namespace) -> dict:
     """Figures of the first frame and of one after it, from a camera that has moved."""
     size = tuple(map(int, arguments.size.split("x")))
-    volumes = instances(arguments.counts[0], arguments.voxels, arguments.turned)
+    volumes = instances(arguments.counts[0], arguments.voxels, arguments.turned, arguments.clouds)
     lights = [Sun((0.4, -0.5, 0.75), 3.0), Environment(np.full((1, 2, 3), 0.3))]
     view, cache = camera(size), RenderCache()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -93,6 +95,7 @@ def main():
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 40, 200, 1000])
+    parser.add_argument("--clouds", type=int, default=1, help="different arrays")
     parser.add_argument("--voxels", type=int, default=156)
     parser.add_argument("--size", default="480x270")
     parser.add_argument("--turned", action="store_true", help="each instance has an angle and a size of its own")
@@ -108,7 +111,8 @@ def main():
     one = None
     for count in arguments.counts:
         command = [sys.executable, "-m", PROGRAM, "--measure", "--counts", str(count)]
-        command += ["--voxels", str(arguments.voxels), "--size", arguments.size, *["--turned"] * arguments.turned]
+        command += ["--clouds", str(arguments.clouds), "--voxels", str(arguments.voxels)]
+        command += ["--size", arguments.size, *["--turned"] * arguments.turned]
         command += ["--whole"] * arguments.whole
         output = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
         found = json.loads(output.splitlines()[-1])

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ PART = 128
 PLACES = 1 << 20
 OPTICAL_DEPTH = 100.0
 POLL_INTERVAL = 0.005
+STAGES = "shadows", "fields", "march", "network", "total"
 
 
 def write_cloud(path: Path, cells: int, share: float) -> None:
@@ -101,6 +103,7 @@ def measure(path: Path, cells: int, size) -> dict:
     import bpy
     from mrpnn.inference import Settings, render
     from mrpnn.inference.plan.plan import make_plan
+    from mrpnn.inference.render_cache import RenderCache
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
     from ..demo import scene as demo_scene
@@ -119,8 +122,14 @@ def measure(path: Path, cells: int, size) -> dict:
     density, settings = found.volumes[0][0].density, Settings()
     held = held_memory() - before
     plan = make_plan(found.volumes, found.lights, found.camera, settings)
+    cache, view = RenderCache(), found.camera
     with Peak() as rendering:
-        layer = render(found.volumes, found.lights, found.camera, settings)
+        layer = render(found.volumes, found.lights, view, settings, cache=cache)
+    whole = replace(settings, optimizations=settings.optimizations - {"level_of_detail"})
+    expected = render(found.volumes, found.lights, view, whole)
+    error = np.sqrt(np.mean((layer.rgb - expected.rgb) ** 2) / np.mean(expected.rgb**2))
+    view.world_matrix[:3, 3] += 0.01 * view.world_matrix[:3, 0]
+    following = render(found.volumes, found.lights, view, settings, cache=cache)
     voxels = float(np.prod(np.array(density.shape, float)))
     values = getattr(density, "values", density)
     return {
@@ -132,7 +141,10 @@ def measure(path: Path, cells: int, size) -> dict:
         "reading": reading.bytes - before,
         "held": held,
         "planned": plan.memory,
-        "seconds": layer.report.seconds,
+        "seconds": layer.report.cpu_seconds,
+        "next": following.report.cpu_seconds["total"],
+        "whole": expected.report.cpu_seconds["total"],
+        "error": float(error),
         "rendering": rendering.bytes - before,
     }
 
@@ -145,7 +157,10 @@ def table(figures: dict, size) -> str:
         ("stored", f"{figures['kept']:.1%}"),
         ("image", f"{size[0]} × {size[1]}, {figures['covered']:.0%} covered"),
         ("reading", f"{figures['read']:.1f} s"),
-        *((stage, f"{seconds[stage]:.1f} s") for stage in ("shadows", "fields", "march", "network", "total")),
+        *((f"{stage}, processor", f"{seconds[stage]:.1f} s") for stage in STAGES),
+        ("next frame, processor", f"{figures['next']:.1f} s"),
+        ("without levels of detail, processor", f"{figures['whole']:.1f} s"),
+        ("error of levels of detail", f"{figures['error']:.4f}"),
         ("peak memory while reading", f"{figures['reading'] / 1e9:.2f} GB"),
         ("memory of the grid", f"{figures['held'] / 1e9:.2f} GB"),
         ("peak memory", f"{figures['rendering'] / 1e9:.2f} GB"),

@@ -7,7 +7,7 @@ from inference import Camera, Medium, Settings, Sun, Volume, render
 from inference.network.network import load_network
 
 from .case import refused
-from .placements import CLOUD, EYE, moved
+from .placements import CLOUD, EYE, moved, scaled
 from .scenes import SUN, camera, placed
 
 
@@ -23,6 +23,14 @@ def drawn(volumes=None, suns=(SUN,), view=None, settings=None):
 def beside(k: float):
     """The cloud and a copy, k times as large."""
     return [(CLOUD, Medium(1.0, 0.5)), (moved(CLOUD, np.diag([k, k, k])), Medium(1.0 / k, 0.5))]
+
+
+def crowd(count: int):
+    """So many instances of a single voxel, all over the cloud."""
+    one, medium, matrices = placed(np.ones((1, 1, 1))), Medium(1.0, 0.5), np.tile(0.01 * np.eye(4), (count, 1, 1))
+    matrices[:, :3, 3] = np.random.default_rng(0).uniform(-0.5, 0.5, (count, 3))
+    matrices[:, 3, 3] = 1.0
+    return [(one.instance(matrix, f"voxel {n}"), medium) for n, matrix in enumerate(matrices)]
 
 
 def voxel(value):
@@ -54,6 +62,17 @@ CASES = [
         # An odd number of pixels: the ray in the middle meets both.
         drawn(beside(1e6), view=camera(1e6 * EYE, pixels=11)),
         "view layers of their own",
+    ),
+    refused(
+        "one volume 1e12 times as large as another",
+        drawn([(scaled(k)[0], Medium(1.0 / k, 0.5)) for k in (1e-6, 1e6)], view=camera(1e6 * EYE, pixels=11)),
+        "view layers of their own",
+    ),
+    refused(
+        "100 000 instances of a voxel in 8 GiB",
+        lambda: drawn(crowd(100_000), view=camera(pixels=256))(),
+        "raise the limit",
+        quick=False,
     ),
     refused("no voxel above 0", drawn([(placed(np.zeros((4, 4, 4))), Medium(1.0))]), "zero everywhere"),
 ]

@@ -155,6 +155,11 @@ class BoundMedium:
         return self.grid.box if flow is None else flow.support(self.grid)
 
     @property
+    def sphere(self) -> np.ndarray:
+        """(4,), centre and radius in the world around all that rays may meet, infinite for a volume that moves."""
+        return self.grid.sphere if self.motion is None else np.array([0.0, 0.0, 0.0, np.inf])
+
+    @property
     def flows(self) -> bool:
         """Whether velocities carry what the volume holds."""
         return self.motion is not None and self.motion.flow is not None

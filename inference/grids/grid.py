@@ -142,6 +142,16 @@ class Grid:
         return product(np.where(CORNERS, high, low) - self.offset, self._world_linear.T)
 
     @functools.cached_property
+    def sphere(self) -> np.ndarray:
+        """(4,), centre and radius in the world of a sphere around the support and a voxel around the whole grid."""
+        low, high = self.box
+        corners = self.corners_of(np.minimum(low, -1.0), np.maximum(high, self.shape))
+        centre = corners.mean(axis=0)
+        radius = np.sqrt(((corners - centre) ** 2).sum(axis=1).max())
+        # More than rounding takes.
+        return np.append(centre, (1.0 + 1e-6) * radius + 1e-9 * np.abs(centre).max())
+
+    @functools.cached_property
     def _world_linear(self) -> np.ndarray:
         return inverse(self.linear)
 

@@ -331,12 +331,17 @@ class Shading:
         self.extended_lights, self.camera, self.eyes = scene.extended_lights, camera, scene.eyes is not None
         self.directions = np.array([sun.direction for sun in suns]).reshape(-1, 3)
         self.extended = [number for number, sun in enumerate(suns) if sun.spread is not None]
-        self.phases = [medium.medium.scattered for medium in channel_pass.media]
+        # Each once, and which of them each medium has.
+        media = [bound.medium for bound in channel_pass.media]
+        kinds = [(medium.anisotropy, None if medium.phase is None else id(medium.phase)) for medium in media]
+        different = {kind: medium.scattered for kind, medium in zip(kinds, media)}
+        numbers = {kind: number for number, kind in enumerate(different)}
+        self.phases, self.phase_of = list(different.values()), [numbers[kind] for kind in kinds]
 
     def single(self, segment: RaySegment, batch: RayBatch, pixel: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Single scattering (R, V, L, S) of a batch's rays by volume and sun, as in RaySegment, for irradiance 1."""
         cosine = product(batch.directions, self.directions.T)
-        phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)
+        phase = np.stack([scattered(cosine) for scattered in self.phases], axis=1)[:, self.phase_of]
         if self.extended_lights is None:
             return segment.single * phase[..., None]
         towards, ahead = self.extended_lights.phase(*places_in_image(self.camera, pixel, batch.directions, self.eyes))

@@ -109,15 +109,15 @@ class TileEstimate:
         # Contribution of each sample to the mean of the three channels.
         parts = np.zeros(len(self.pixel), np.float32)
         for turn, told_of_turn in zip(self._turns, self._told):
-            within = points if turn is None else points[turn[points] >= 0]
-            for done in sample_batches(within):
+            within, asked_at = points if turn is None else points[turn[points] >= 0], 0
+            for done in self._batches(within):
                 self.context.cancel.check()
-                asked, pixel = self._asked(done, turn), self.pixel[done]
-                predicted = estimator.predict(asked)
+                (asked, of), pixel = self._asked_together(done, turn), self.pixel[done]
+                predicted, asked_at = estimator.predict(asked), asked_at + len(asked)
                 weight, mean, told = self._weight(done, turn), np.zeros(len(done)), estimator.radiance(predicted, asked)
                 for number, row in enumerate(source.rows):
                     if row.quantity in told:
-                        added = weight[:, number] * told[row.quantity]
+                        added = weight[:, number] * told[row.quantity][of]
                         add_at(self.radiance[number], pixel, added)
                         for degree, mean_there in enumerate(self._moments[1:], 1):
                             add_at(self.radiance[degree * len(source.rows) + number], pixel, added * mean_there[done])
@@ -125,12 +125,29 @@ class TileEstimate:
                 parts[done] += mean / 3.0
                 if self._sparse is not None:
                     known = np.flatnonzero(self._sparse.known[pixel])
-                    told_of_turn.append((done[known], predicted[:, known]))
+                    told_of_turn.append((done[known], predicted[:, of][:, known]))
             if estimator.answers:
-                self.report.count("network points", len(within))
-                self.report.count("network answers", len(within) * estimator.answers)
+                self.report.count("network points", asked_at)
+                self.report.count("network answers", asked_at * estimator.answers)
         if len(points):
             add_at(self.error, *self.samples.standard_error(parts, points))
+
+    def _batches(self, points: np.ndarray) -> list[np.ndarray]:
+        """Some samples in batches of about one network call each, of whole rays where these are asked once."""
+        if not self.source.once_per_ray:
+            return sample_batches(points)
+        starts = np.flatnonzero(np.diff(self.samples.sampled[points], prepend=-1))
+        return np.split(points, starts[POINTS_PER_TASK::POINTS_PER_TASK]) if len(points) else []
+
+    def _asked_together(self, points: np.ndarray, turn: np.ndarray | None) -> tuple[LitPoints, np.ndarray | slice]:
+        """Some samples as an estimator is asked at them, and of which answer each takes its light."""
+        asked = self._asked(points, turn)
+        if not self.source.once_per_ray:
+            return asked, slice(None)
+        ray = self.samples.sampled[points].astype(np.int64)
+        own = ray if turn is None else ray * len(self.source.groups) + turn[points]
+        of = np.unique(own, return_inverse=True)[1]
+        return asked.joined(of, self.samples.weight[points] * self.share[points]), of
 
     def _weight(self, points: np.ndarray, turn: np.ndarray | None) -> np.ndarray:
         """What of light at some samples arrives at the camera, (N, K)."""

@@ -64,7 +64,8 @@ class Source:
     its light. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest edge of the
     group's voxels. lights: how many suns and lamps share the single scattering that tells where its light varies; 0
     where that does not tell. needs_detail: whether its light varies along rays more than nodes of the depth samples
-    tell. masked: whether the light of earlier sources hides its errors.
+    tell. masked: whether the light of earlier sources hides its errors. once_per_ray: whether it is told once for
+    all depth samples of a ray in a group.
     """
 
     groups: Sequence[int]
@@ -77,6 +78,7 @@ class Source:
     lights: int = 0
     needs_detail: bool = False
     masked: bool = False
+    once_per_ray: bool = False
 
     @cached_property
     def albedos(self) -> np.ndarray:
@@ -255,16 +257,18 @@ class AskedGroup:
         """relative: standard deviation of the error over the light, of an albedo."""
         groups = self.like or [self.number]
         members = [v for g in groups for v in self.scene.plan.groups[g]]
+        varies = self.group.volume.scattering is not None
         return Source(
             groups=groups,
             members=members,
             frames=self._frames() if len(groups) > 1 else None,
             estimator=estimator,
             rows=rows_of(self.scene, members, estimator, self.places, relative),
-            varies=self.group.volume.scattering is not None,
+            varies=varies,
             voxel=min(self.scene.grids[v].voxel for v in members),
             lights=lights,
             needs_detail=needs_detail,
+            once_per_ray=estimator.varies_slowly and not varies and min(self.scene.plan.coarser[g] for g in groups) > 0,
         )
 
     def _frames(self) -> np.ndarray:

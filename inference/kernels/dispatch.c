@@ -13,7 +13,7 @@ MRPNN_ONE_VARIANT: built with the baseline alone, for compilers that check what 
 #endif
 
 #define DECLARE(variant)                                                   \
-    int64_t scratch_bytes_##variant(const Scene *scene, int64_t max_count); \
+    int64_t scratch_bytes_##variant(const Scene *scene, Rays *rays); \
     int64_t march_##variant(const Scene *scene, const Rays *rays, Gathered *out);
 #define DECLARE_BASELINE(function, Data) int64_t function##_baseline(Data *data);
 #define DECLARE_AVX2(function, Data) int64_t function##_avx2(Data *data);
@@ -86,9 +86,9 @@ static unsigned without_subnormals(void) { return 0; }
 static int64_t restored(unsigned mode, int64_t result) { return (void)mode, result; }
 #endif
 
-/* Bytes of scratch memory that rays of at most so many steps take. */
-EXPORT int64_t mrpnn_scratch_bytes(const Scene *scene, int64_t max_count) {
-    return scratch_bytes_baseline(scene, max_count);
+/* Bytes of scratch memory that rays take; sets their `most_met`. */
+EXPORT int64_t mrpnn_scratch_bytes(const Scene *scene, Rays *rays) {
+    return scratch_bytes_baseline(scene, rays);
 }
 
 /* March rays; returns how many were marched, fewer than given if `stop` was set. */

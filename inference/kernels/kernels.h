@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 30
+#define MRPNN_INTERFACE 31
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -184,6 +184,9 @@ typedef struct {
     int64_t flowing;                 /* whether velocities carry what any of the volumes holds */
     int64_t varying, scattering;     /* how many albedos vary, and colour channels whose scattering is gathered */
     const Medium *media;             /* (volumes) */
+    const double *spheres;           /* (volumes, 4), centres and radii in the world, around all that a ray may meet of
+                                        each; or NULL */
+    const double *sun_directions;    /* (suns, 3) in the world; or NULL */
     const int64_t *group_starts;     /* (groups + 1) in `group_members` */
     const int64_t *group_members;    /* numbers of volumes */
     const ShadowMap *shadow_maps;    /* (suns), or NULL where no surface shadows volumes */
@@ -221,6 +224,7 @@ typedef struct {
     const int64_t *eyes;                 /* (rays), of those by which volumes move, or NULL: all stand still */
     const int64_t *detail;               /* (rays), times as many depth samples, at most `most_detail`, or NULL: once */
     int64_t max_count;                   /* no count may be larger: `scratch` is made for it */
+    int64_t most_met;                    /* volumes that one ray meets at most, of scratch_bytes */
     const volatile int32_t *stop;        /* not 0: return as soon as possible */
     void *scratch;
 } Rays;

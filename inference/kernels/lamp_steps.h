@@ -96,7 +96,7 @@ static void add_bent(const Scene *scene, const Pass *pass, const double *ends, d
         if (emitter->cone) turn_into_cone(pass, &behind, &passing);
         double distance = sqrt(passing + behind * behind);
         for (int64_t v = 0; v < scene->volumes; v++) {
-            if (!(work->sigma[v * work->stride + s] > 0.0f)) continue;
+            if (!(work->sigma[work->rows[v] + s] > 0.0f)) continue;
             double phase = scattered_back(scene->media[v].phase, behind, passing, distance);
             for (int64_t c = 0; c < scene->scattering; c++) {
                 single[v * stride + c] += light * scattering_of(scene, work, v, c)[s] * phase;
@@ -118,7 +118,7 @@ static inline void add_node(const Scene *scene, const Pass *pass, Ints used, Dou
         }
     }
     for (int64_t v = 0; v < scene->volumes; v++) {
-        Ints filled = used & (load(work->sigma + v * work->stride + first) > 0.0f);
+        Ints filled = used & (load(work->sigma + work->rows[v] + first) > 0.0f);
         if (!any_lane(filled)) continue;
         Floats scattered = light * scattered_back_at(scene->media[v].phase, behind, passing);
         for (int64_t c = 0; c < scene->scattering; c++) {
@@ -237,7 +237,7 @@ static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *
         for (int k = 0; k < 3; k++) point[k] = ray->origin[k] + distance * ray->direction[k];
         Floats fluence = emitter_fluences(emitter, point);
         for (int64_t v = 0; v < scene->volumes; v++) {
-            float *light = work->node_light + v * work->stride + first;
+            float *light = work->node_light + work->rows[v] + first;
             Doubles passing = (Doubles){0} + pass.passing, behind = distance - pass.nearest;
             store(light, load(light) + fluence * scattered_back_at(scene->media[v].phase, behind, passing));
         }
@@ -249,7 +249,7 @@ static void add_at_nodes(const Scene *scene, const Emitter *emitter, const Ray *
 
 static void clear_nodes(const Scene *scene, Work *work) {
     size_t size = (size_t)(work->nodes + LANES - 1) / LANES * LANES * sizeof(float);
-    for (int64_t v = 0; v < scene->volumes; v++) memset(work->node_light + v * work->stride, 0, size);
+    for (int64_t v = 0; v < scene->volumes; v++) memset(work->node_light + work->rows[v], 0, size);
     memset(work->node_fluence, 0, size);
     memset(work->node_reference, 0, size);
 }
@@ -276,7 +276,7 @@ static void add_from_nodes(const Scene *scene, int features, Work *work, double 
         store(weight + s, passed * load(work->visible + s));
     }
     for (int64_t v = 0; v < scene->volumes; v++) {
-        interpolate_nodes(work->node_light + v * work->stride, work, light);
+        interpolate_nodes(work->node_light + work->rows[v], work, light);
         for (int64_t s = 0; s < steps; s += LANES) store(light + s, load(light + s) * load(weight + s));
         for (int64_t c = 0; c < scene->scattering; c++) {
             single[v * stride + c] += sum_of(scattering_of(scene, work, v, c), light, work);
@@ -348,7 +348,7 @@ static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, 
 
 /* Add an emitter's light, attenuated by the optical depths, and by surfaces, to the sums over emitters. */
 static void add_part(const Scene *scene, int alone, Work *work) {
-    int64_t stride = work->stride, steps = STEPS * work->blocks;
+    int64_t steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
         Floats light = load(work->light + first), next = light;
         Ints filled = load(work->total + first) > 0.0f;
@@ -359,9 +359,10 @@ static void add_part(const Scene *scene, int alone, Work *work) {
             if (n % STEPS < STEPS - 1 && filled[n + 1]) next[n] = light[n + 1];
         }
         for (int64_t g = 0; g < scene->groups; g++) {
-            float *starts = work->mean_start + g * stride + first, *ends = work->mean_end + g * stride + first;
-            store(starts, load(starts) + light * transmittance(load(work->start + g * stride + first)));
-            store(ends, load(ends) + next * transmittance(load(work->end + g * stride + first)));
+            int64_t at = work->group_rows[g] + first;
+            float *starts = work->mean_start + at, *ends = work->mean_end + at;
+            store(starts, load(starts) + light * transmittance(load(work->start + at)));
+            store(ends, load(ends) + next * transmittance(load(work->end + at)));
         }
     }
 }
@@ -374,7 +375,7 @@ static inline float depth_of(float passed, float fluence, float dark) {
 
 /* A lamp as a single light: fluence on a coarse scale, the fraction that surfaces let through, and optical depths. */
 static void join_parts(const Scene *scene, int alone, Work *work) {
-    int64_t stride = work->stride, steps = STEPS * work->blocks;
+    int64_t steps = STEPS * work->blocks;
     for (int64_t first = 0; first < steps; first += LANES) {
         Floats reference = reference_of(load(work->fluence + first), load(work->reference + first));
         Floats coarse = softened(reference, scene->lamp_radius);
@@ -382,12 +383,13 @@ static void join_parts(const Scene *scene, int alone, Work *work) {
         store(work->lit + first, load(work->lit + first) / reference);
     }
     for (int64_t g = 0; g < scene->groups && !alone; g++) {
-        float *start = work->start + g * stride, *end = work->end + g * stride, dark = (float)scene->dark;
+        int64_t row = work->group_rows[g];
+        float *start = work->start + row, *end = work->end + row, dark = (float)scene->dark;
         for (int64_t s = 0; s < steps; s++) {
             int64_t next = s % STEPS < STEPS - 1 && work->total[s + 1] > 0.0f ? s + 1 : s;
             int filled = work->total[s] > 0.0f;
-            start[s] = filled ? depth_of(work->mean_start[g * stride + s], work->fluence[s], dark) : dark;
-            end[s] = filled ? depth_of(work->mean_end[g * stride + s], work->fluence[next], dark) : dark;
+            start[s] = filled ? depth_of(work->mean_start[row + s], work->fluence[s], dark) : dark;
+            end[s] = filled ? depth_of(work->mean_end[row + s], work->fluence[next], dark) : dark;
         }
     }
 }

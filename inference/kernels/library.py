@@ -74,7 +74,7 @@ class Kernels:
             march = (POINTER(structures.Scene), POINTER(structures.Rays), POINTER(structures.Gathered))
             declared: dict[str, tuple] = {
                 "best_variant": (),
-                "scratch_bytes": (POINTER(structures.Scene), c_int64),
+                "scratch_bytes": (POINTER(structures.Scene), POINTER(structures.Rays)),
                 "march": (c_int64, *march),
                 **{name: (c_int64, POINTER(data)) for name, data in structures.FUNCTIONS.items()},
             }
@@ -84,9 +84,9 @@ class Kernels:
             self._library = library
         return self._library
 
-    def scratch_bytes(self, scene: structures.Shared, max_count: int) -> int:
-        """Bytes of scratch memory that rays of at most `max_count` steps take."""
-        return self._loaded().mrpnn_scratch_bytes(scene, max_count)
+    def scratch_bytes(self, scene: structures.Shared, rays: structures.Shared) -> int:
+        """Bytes of scratch memory that rays take; sets their `most_met`."""
+        return self._loaded().mrpnn_scratch_bytes(scene, rays)
 
     def march(self, scene: structures.Shared, rays: structures.Shared, gathered: structures.Shared) -> int:
         """March rays without Python's lock; returns how many were marched, fewer than given if `stop` was set."""

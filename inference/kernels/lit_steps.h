@@ -9,14 +9,13 @@
 
 /* Scattering coefficients of the steps of all blocks, where albedos vary. */
 static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
-    int64_t stride = work->stride;
     for (int64_t m = 0; m < work->met_count && scene->varying; m++) {
         int64_t v = work->met[m];
         const Medium *medium = scene->media + v;
-        const float *sigma = work->sigma + v * stride;
+        const float *sigma = work->sigma + work->rows[v];
         if (!medium->varies) continue;
         for (int64_t c = 0; c < scene->scattering; c++) {
-            float *scattering = work->scattering + (c * scene->volumes + v) * stride;
+            float *scattering = work->scattering + c * work->most_met * work->stride + work->rows[v];
             for (int64_t b = 0; b < work->blocks; b++) {
                 const float *extinction = sigma + STEPS * b;
                 float *out = scattering + STEPS * b;
@@ -36,8 +35,7 @@ static void sample_scattering(const Scene *scene, const Ray *ray, Work *work) {
 /* Scattering coefficients of a volume in a colour channel at steps: its extinction, for albedo 1, where the albedo does
 not vary. */
 static inline const float *scattering_of(const Scene *scene, const Work *work, int64_t v, int64_t c) {
-    int64_t stride = work->stride;
-    return scene->media[v].varies ? work->scattering + (c * scene->volumes + v) * stride : work->sigma + v * stride;
+    return (scene->media[v].varies ? work->scattering + c * work->most_met * work->stride : work->sigma) + work->rows[v];
 }
 
 /* Position on the ray of a point within a step. */
@@ -95,13 +93,14 @@ static inline void store_at_edges(const Work *work, int64_t edge, int used, Floa
 
 l: number of the sun. columns: (volumes), around an emitter, or NULL for the sun. */
 static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
-    int64_t stride = work->stride, steps = STEPS * work->blocks;
+    int64_t steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
     int single_group = scene->groups == 1, outside = scene->volumes > 1 || scene->at_start;
     for (int64_t s = 0; s < steps && !single_group; s++) work->whole_start[s] = work->whole_end[s] = dark;
     for (int64_t n = 0; n < work->active_count; n++) {
         int64_t g = work->active[n];
-        for (int64_t s = 0; s < steps && work->group_met[g]; s++) work->start[g * stride + s] = work->end[g * stride + s] = dark;
+        float *start = work->start + work->group_rows[g], *end = work->end + work->group_rows[g];
+        for (int64_t s = 0; s < steps && work->group_met[g]; s++) start[s] = end[s] = dark;
     }
     for (int64_t e = 0; e < edges; e += LANES) {
         double place[LANES];
@@ -130,7 +129,7 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                 float extinction = (float)medium->sigma_t;
                 sum += volume_sun_depth(&medium->density, sun, extinction, position, depth, outside);
             }
-            if (work->group_met[g]) store_at_edges(work, e, used, sum, work->start + g * stride, work->end + g * stride);
+            if (work->group_met[g]) store_at_edges(work, e, used, sum, work->start + work->group_rows[g], work->end + work->group_rows[g]);
             total += sum;
         }
         if (!single_group) store_at_edges(work, e, used, total, work->whole_start, work->whole_end);
@@ -178,9 +177,8 @@ static void add_single(const Scene *scene, int64_t l, Work *work, double *single
         Floats scattered = load(work->transmitted + s) * mean_transmittance(start, end) * load(work->dt + s);
         store(light + s, scene->shadow_maps ? scattered * load(work->visible + s) : scattered);
     }
-    for (int64_t n = 0; n < scene->volumes * scene->scattering; n++) {
-        int64_t v = n / scene->scattering, c = n % scene->scattering;
-        if (!work->is_met[v]) continue;
+    for (int64_t n = 0; n < work->met_count * scene->scattering; n++) {
+        int64_t v = work->met[n / scene->scattering], c = n % scene->scattering;
         single[(v * scene->suns + l) * scene->scattering + c] += sum_of(scattering_of(scene, work, v, c), light, work);
     }
 }
@@ -191,7 +189,7 @@ the first sample on.
 fluence: of group g. l: number of the light. */
 static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g, int64_t l, const Ray *ray, Work *work) {
     int64_t from = work->sample_step[0];
-    const float *tau = work->group_tau + g * work->stride;
+    const float *tau = work->group_tau + work->group_rows[g];
     int64_t steps = STEPS * work->blocks;
     if (!fluence->lights) {
         memset(work->source, 0, (size_t)steps * sizeof *work->source);
@@ -203,7 +201,7 @@ static void look_up_source(const Scene *scene, const Fluence *fluence, int64_t g
     int64_t first = scene->group_members[scene->group_starts[g]];
     ray = ray_of(scene->media + first, ray, &moved);
     Line line = line_in(fluence->linear, fluence->offset, ray);
-    line.shifts = work->lines[first].shifts, line.last = work->lines[first].last;
+    if (work->is_met[first]) line.shifts = work->lines[first].shifts, line.last = work->lines[first].last;
     float weight[3], jitter[3], most = (float)(fluence->cells - 1);
     for (int i = 0; i < 3; i++) {
         double sum = 0.0;

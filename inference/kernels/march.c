@@ -39,14 +39,16 @@ static void add_emission(const Scene *scene, const Ray *ray, Work *work, double 
 }
 
 /* Divide the scratch memory; without memory, only count its bytes. */
-static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work *work) {
+static int64_t divide(const Scene *scene, const Rays *rays, char *memory, Work *work) {
     /* Coarse blocks, and those that cutting adds: at each level at most about 30 blocks are cut before the limit of
     steps grows past any optical depth. An even number, whose steps are whole lanes. */
+    int64_t max_count = rays->max_count < 1 ? 1 : rays->max_count;
     int64_t used = 0, blocks = (max_count + LANES - 1) / LANES * (LANES / STEPS) + 40 * 2 * MOST_PARTS * LEVELS;
     int64_t steps = STEPS * (blocks + AHEAD);
-    int64_t volumes = scene->volumes, groups = scene->groups;
+    int64_t volumes = scene->volumes, met = least_int(rays->most_met, volumes), groups = least_int(scene->groups, met);
     int64_t samples = scene->depth_samples * (scene->most_detail > 1 ? scene->most_detail : 1);
     work->most_blocks = blocks;
+    work->most_met = met;
     work->stride = steps;
     /* One more than steps, in whole lanes. */
     work->shift_stride = 3 * ((max_count + STEPS) / LANES + 2) * LANES;
@@ -57,8 +59,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(size, double, blocks)
     TAKE(dt, float, steps)
     TAKE(before, double, blocks + 1)
-    TAKE(sigma, float, volumes * steps)
-    TAKE(scattering, float, scene->varying ? scene->scattering * volumes * steps : 0)
+    TAKE(sigma, float, met * steps)
+    TAKE(scattering, float, scene->varying ? scene->scattering * met * steps : 0)
     TAKE(total, float, steps)
     TAKE(tau, float, steps)
     TAKE(within, float, steps)
@@ -66,8 +68,8 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(transmitted, float, steps)
     TAKE(start, float, groups * steps)
     TAKE(end, float, groups * steps)
-    TAKE(whole_start, float, groups == 1 ? 0 : steps)
-    TAKE(whole_end, float, groups == 1 ? 0 : steps)
+    TAKE(whole_start, float, scene->groups == 1 ? 0 : steps)
+    TAKE(whole_end, float, scene->groups == 1 ? 0 : steps)
     TAKE(visible, float, steps)
     TAKE(source, float, steps)
     TAKE(group_tau, float, groups * steps)
@@ -79,7 +81,7 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(received, float, scene->lamps ? steps : 0)
     TAKE(node_place, double, scene->lamps ? steps : 0)
     TAKE(first_node, int32_t, scene->lamps ? blocks : 0)
-    TAKE(node_light, float, scene->lamps ? volumes * steps : 0)
+    TAKE(node_light, float, scene->lamps ? met * steps : 0)
     TAKE(node_fluence, float, scene->lamps ? steps : 0)
     TAKE(node_reference, float, scene->lamps ? steps : 0)
     TAKE(light, float, steps)
@@ -90,23 +92,24 @@ static int64_t divide(const Scene *scene, int64_t max_count, char *memory, Work 
     TAKE(lines, Line, volumes)
     TAKE(shifts, float, scene->flowing ? volumes * work->shift_stride : 0)
     TAKE(met, int64_t, volumes)
-    TAKE(active, int64_t, groups)
+    TAKE(active, int64_t, scene->groups)
+    TAKE(rows, int64_t, volumes)
+    TAKE(group_rows, int64_t, scene->groups)
     TAKE(is_met, uint8_t, volumes)
     TAKE(shades, uint8_t, volumes)
-    TAKE(group_met, uint8_t, groups)
+    TAKE(group_met, uint8_t, scene->groups)
     TAKE(cells, int64_t, LANES * volumes)
     TAKE(near, uint8_t, (AHEAD + 1) * volumes)
     TAKE(sample_step, int64_t, samples)
     TAKE(sample_inside, float, samples)
     TAKE(sample_light, float, samples)
 #undef TAKE
-    if (groups == 1) work->whole_start = work->start, work->whole_end = work->end;
+    if (scene->groups == 1) work->whole_start = work->start, work->whole_end = work->end;
     return used;
 }
 
 static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *work, Gathered *out) {
     Ray ray;
-    int64_t steps = work->stride;
     start_ray(rays, r, &ray);
     find_met(scene, &ray, work);
     if (out->emission) {
@@ -133,7 +136,7 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     out->alpha[r] = alpha;
     out->depth[r] = ray.near + reached * ray.dt / (alpha > 1e-30 ? alpha : 1e-30);
     for (int64_t v = 0; v < scene->volumes; v++) {
-        out->optical_depth[r * scene->volumes + v] = work->is_met[v] ? sum_of(work->sigma + v * steps, work->dt, work) : 0.0;
+        out->optical_depth[r * scene->volumes + v] = work->is_met[v] ? sum_of(work->sigma + work->rows[v], work->dt, work) : 0.0;
     }
     for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
         int64_t v = i / scene->scattering;
@@ -172,16 +175,31 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
     out->samples += count;
 }
 
-/* Bytes of scratch memory for rays of at most max_count steps. */
-int64_t NAMED(scratch_bytes, VARIANT)(const Scene *scene, int64_t max_count) {
+/* Volumes that one ray meets at most, but no fewer than 1. */
+static int64_t most_met(const Scene *scene, const Rays *rays) {
+    int64_t most = 1;
+    if (scene->volumes <= FEW || scene->lamps > 0 || !scene->spheres) return scene->volumes > 1 ? scene->volumes : 1;
+    for (int64_t r = 0; r < rays->rays; r++) {
+        Ray ray;
+        int64_t met = 0;
+        start_ray(rays, r, &ray);
+        for (int64_t v = 0; v < scene->volumes; v++) met += may_meet(scene->spheres + 4 * v, &ray);
+        most = met > most ? met : most;
+    }
+    return most;
+}
+
+/* Bytes of scratch memory for rays; sets their most_met. */
+int64_t NAMED(scratch_bytes, VARIANT)(const Scene *scene, Rays *rays) {
     Work work;
-    return divide(scene, max_count < 1 ? 1 : max_count, NULL, &work);
+    rays->most_met = most_met(scene, rays);
+    return divide(scene, rays, NULL, &work);
 }
 
 /* March rays; returns how many were marched, fewer than given if `stop` was set. */
 int64_t NAMED(march, VARIANT)(const Scene *scene, const Rays *rays, Gathered *out) {
     Work work;
-    divide(scene, rays->max_count < 1 ? 1 : rays->max_count, rays->scratch, &work);
+    divide(scene, rays, rays->scratch, &work);
     out->samples = 0;
     out->blocks = 0;
     for (int64_t r = 0; r < rays->rays; r++) {

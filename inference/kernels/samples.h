@@ -24,7 +24,7 @@ static void add_sample(const Scene *scene, const Ray *ray, int64_t s, double ins
     out->sample_distance[sample] = ray->near + place_in(work, s, inside) * ray->dt;
     float total = work->total[s] > 1e-30f ? work->total[s] : 1e-30f;
     for (int64_t v = 0; v < scene->volumes; v++) {
-        out->sample_fraction[sample * scene->volumes + v] = work->is_met[v] ? work->sigma[v * work->stride + s] / total : 0.0f;
+        out->sample_fraction[sample * scene->volumes + v] = work->is_met[v] ? work->sigma[work->rows[v] + s] / total : 0.0f;
     }
     for (int64_t i = 0; i < scene->volumes * scene->scattering && scene->varying; i++) {
         const float *scattering = scattering_of(scene, work, i / scene->scattering, i % scene->scattering);
@@ -79,16 +79,16 @@ static int64_t place_samples(const Scene *scene, const Ray *ray, double alpha, i
 
 /* Optical thickness of steps in each group. */
 static void sum_groups(const Scene *scene, Work *work) {
-    int64_t stride = work->stride, steps = STEPS * work->blocks;
+    int64_t steps = STEPS * work->blocks;
     for (int64_t a = 0; a < work->active_count; a++) {
         int64_t g = work->active[a];
         for (int64_t s = 0; s < steps && work->group_met[g]; s += LANES) {
             Floats sigma = in_all(0.0f);
             for (int64_t n = scene->group_starts[g]; n < scene->group_starts[g + 1]; n++) {
                 int64_t v = scene->group_members[n];
-                if (work->is_met[v]) sigma += load(work->sigma + v * stride + s);
+                if (work->is_met[v]) sigma += load(work->sigma + work->rows[v] + s);
             }
-            store(work->group_tau + g * stride + s, sigma * load(work->dt + s));
+            store(work->group_tau + work->group_rows[g] + s, sigma * load(work->dt + s));
         }
     }
 }
@@ -107,8 +107,8 @@ typedef struct {
 
 The lanes are the integrals: those of the light itself with each scale, and those of scattered light. */
 static void gather_features(const Scene *scene, int64_t g, const Gathering *of, int64_t count, const Work *work) {
-    int64_t stride = work->stride, steps = STEPS * work->blocks, from = work->sample_step[0];
-    const float *start = work->start + g * stride, *end = work->end + g * stride, *tau = work->group_tau + g * stride;
+    int64_t row = work->group_rows[g], steps = STEPS * work->blocks, from = work->sample_step[0];
+    const float *start = work->start + row, *end = work->end + row, *tau = work->group_tau + row;
     const float a = (float)scene->scales[0], b = (float)scene->scales[1], c = (float)scene->scales[2];
     const float reduced = (float)of->fluence->reduced_fraction;
     /* Towards the sun and along the ray, so that one vector holds the exponentials of a step. */

@@ -21,6 +21,9 @@ steps. */
 #define LEVELS 7
 #define MOST_PARTS 8
 
+/* Volumes up to which scratch memory is for all of them, whether a ray meets them or not. */
+#define FEW 8
+
 /* Coarse blocks that are sampled together, for instruction-level parallelism, even if the ray ends in front of some. An
 even number. */
 #define AHEAD 8
@@ -50,31 +53,31 @@ typedef struct {
 
 /* Scratch memory for one ray of up to `most_blocks` blocks; those of coarse blocks that are looked at ahead follow them. */
 typedef struct {
-    int64_t most_blocks;
+    int64_t most_blocks, most_met;
     int64_t stride;              /* steps of all of these */
     int64_t blocks;
     int64_t looked_at;           /* blocks, also those that are not kept */
     double *place, *size;        /* (blocks), where each block begins, and the size of its steps */
     float *dt;                   /* (steps), length */
     double *before;              /* (blocks + 1), optical depth from the ray's start */
-    float *sigma;                /* (volumes, steps), extinction */
-    float *scattering;           /* (scattering, volumes, steps), of volumes whose albedo varies */
+    float *sigma;                /* (met, steps), extinction */
+    float *scattering;           /* (scattering, met, steps), of volumes whose albedo varies */
     float *total, *tau, *within; /* (steps), of all volumes; within: from the block's start to the step's end */
     float *far;                  /* (blocks), transmitted to the block's start */
     float *transmitted;          /* (steps), to the step's start */
-    float *start, *end;          /* (groups, steps) each, optical depth of a group towards a light at the ends of steps */
+    float *start, *end;          /* (groups met, steps) each, optical depth of a group towards a light at the ends of steps */
     float *whole_start, *whole_end;  /* (steps), of all volumes; those of the group if there is one alone */
     float *visible;              /* (steps) */
     float *source;               /* (steps), scattered light */
-    float *mean_start, *mean_end;  /* (groups, steps), mean transmittance towards the emitters of a lamp */
+    float *mean_start, *mean_end;  /* (groups met, steps), mean transmittance towards the emitters of a lamp */
     float *fluence, *reference;  /* (steps), unattenuated, of a lamp, and reference_of it for ray features */
     float *lit, *received;       /* (steps), fraction of it that surfaces let through, and fluence on a coarse scale */
     int64_t nodes;               /* ends of blocks; the end that two blocks share counts once */
     double *node_place;          /* (steps; at most twice as many as blocks), where they are on the ray */
     int32_t *first_node;         /* (blocks), at the start of each block; the node at its end is the next */
-    float *node_light;           /* (volumes, steps), light of a lamp that each volume scatters towards the camera */
+    float *node_light;           /* (met, steps), light of a lamp that each volume scatters towards the camera */
     float *node_fluence, *node_reference;  /* (steps), as `fluence` and `reference` */
-    float *group_tau;            /* (groups, steps) */
+    float *group_tau;            /* (groups met, steps) */
     float *light;                /* (steps) */
     double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
     float *edge_depth;
@@ -84,6 +87,7 @@ typedef struct {
     int64_t shift_stride;
     int64_t *met;                /* (met_count), volumes whose support the ray meets */
     int64_t *active;             /* (active_count), groups with volumes that it meets or that may shadow these */
+    int64_t *rows, *group_rows;  /* (volumes) and (groups), where the steps of those that are met begin */
     int64_t met_count, active_count;
     uint8_t *is_met, *shades;    /* (volumes), whether the ray meets each, and whether it may shadow points of the ray */
     uint8_t *group_met;          /* (groups), whether the ray meets any of its volumes */
@@ -337,14 +341,52 @@ static int may_shade(const Medium *medium, const SunColumns *sun, const Line *li
     return from <= to;
 }
 
+static inline double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* Squared distance of a point from the segment from 0 to `longest` along a direction. */
+static inline double segment_distance(const double *point, const double *direction, double longest) {
+    double square = dot(direction, direction), along = square > 0.0 ? dot(point, direction) / square : 0.0;
+    along = along > 0.0 ? along < longest ? along : longest : 0.0;
+    double apart[3] = {point[0] - along * direction[0], point[1] - along * direction[1], point[2] - along * direction[2]};
+    return dot(apart, apart);
+}
+
+/* Whether a ray may meet what a sphere (4,) holds. */
+static inline int may_meet(const double *sphere, const Ray *ray) {
+    double centre[3];
+    for (int k = 0; k < 3; k++) centre[k] = sphere[k] - ray->origin[k] - ray->near * ray->direction[k];
+    return !(segment_distance(centre, ray->direction, (double)ray->count * ray->dt) > sphere[3] * sphere[3]);
+}
+
+/* Whether a sphere (4,) is away from a ray and from all that lies between it and the suns. */
+static inline int far_away(const Scene *scene, const double *sphere, const Ray *ray) {
+    double longest = (double)ray->count * ray->dt, square = sphere[3] * sphere[3], centre[3];
+    for (int k = 0; k < 3; k++) centre[k] = sphere[k] - ray->origin[k] - ray->near * ray->direction[k];
+    if (may_meet(sphere, ray)) return 0;
+    for (int64_t l = 0; l < scene->suns; l++) {
+        /* Seen along the sun's light. */
+        const double *sun = scene->sun_directions + 3 * l;
+        double ahead = dot(centre, sun), lean = dot(ray->direction, sun), lowest = lean < 0.0 ? lean * longest : 0.0;
+        double across[3], direction[3];
+        for (int k = 0; k < 3; k++) across[k] = centre[k] - ahead * sun[k], direction[k] = ray->direction[k] - lean * sun[k];
+        if (!(ahead + sphere[3] < lowest) && !(segment_distance(across, direction, longest) > square)) return 0;
+    }
+    return 1;
+}
+
 /* Find the volumes that matter to a ray: lamps shine from everywhere, and a volume alone always matters. */
 static void find_met(const Scene *scene, const Ray *ray, Work *work) {
     int all = scene->volumes == 1 || scene->lamps > 0;
     work->met_count = work->active_count = 0;
     for (int64_t v = 0; v < scene->volumes; v++) {
         const Medium *medium = scene->media + v;
+        if (!all && scene->spheres && far_away(scene, scene->spheres + 4 * v, ray)) {
+            work->is_met[v] = work->shades[v] = 0;
+            continue;
+        }
         work->lines[v] = line_through(medium, ray);
-        work->is_met[v] = (uint8_t)(all || meets(medium, work->lines + v, ray));
+        work->is_met[v] = (uint8_t)(work->met_count < work->most_met && (all || meets(medium, work->lines + v, ray)));
+        work->rows[v] = work->met_count * work->stride;
         work->shades[v] = (uint8_t)(all || medium->times);
         if (medium->times && ray->eye >= 0 && work->is_met[v]) {
             bend(medium, ray, work->shifts + v * work->shift_stride, work->lines + v);
@@ -354,14 +396,17 @@ static void find_met(const Scene *scene, const Ray *ray, Work *work) {
         }
         if (work->is_met[v]) work->met[work->met_count++] = v;
     }
+    int64_t groups = 0;
     for (int64_t g = 0; g < scene->groups; g++) {
         int active = 0;
         work->group_met[g] = 0;
+        work->group_rows[g] = groups * work->stride;
         for (int64_t m = scene->group_starts[g]; m < scene->group_starts[g + 1]; m++) {
             int64_t v = scene->group_members[m];
             work->group_met[g] |= work->is_met[v];
             active |= work->is_met[v] | work->shades[v];
         }
+        groups += work->group_met[g];
         if (active) work->active[work->active_count++] = g;
     }
 }
@@ -392,7 +437,7 @@ static inline void sample_media(const Scene *scene, const Ray *ray, double place
             Floats samples = sample_block(&medium->density, work->lines + v, place, size);
             sigma = step_means(samples, ray, place, size) * (float)medium->sigma_t;
         }
-        memcpy(work->sigma + v * work->stride + at, &sigma, sizeof sigma);
+        memcpy(work->sigma + work->rows[v] + at, &sigma, sizeof sigma);
         total += sigma;
     }
     tau = total * (float)(ray->dt * size);
@@ -494,7 +539,7 @@ static void keep_block(const Ray *ray, double place, double size, int64_t at, Wo
         memcpy(work->tau + to, work->tau + at, sizeof(Steps));
         memcpy(work->within + to, work->within + at, sizeof(Steps));
         for (int64_t m = 0; m < work->met_count; m++) {
-            float *sigma = work->sigma + work->met[m] * work->stride;
+            float *sigma = work->sigma + m * work->stride;
             memcpy(sigma + to, sigma + at, sizeof(Steps));
         }
     }

@@ -87,6 +87,7 @@ class Marcher:
         self._groups = options.groups or [[v] for v in range(len(media))]
         self._suns = len(media[0].sun_depths) if media else 0
         self._scene = self._describe(list(channels))
+        # Shared by those through some of the groups, since untouched memory takes time.
         self._local = threading.local()
 
     @property
@@ -121,11 +122,11 @@ class Marcher:
             groups=len(groups),
             varying=found._varying,
             media=structures.rows_of(self._scene.fields["media"], volumes),
+            spheres=None if self._scene.fields["spheres"] is None else self._scene.fields["spheres"][volumes],
             group_starts=starts,
             group_members=members,
             fluence=structures.rows_of(self._scene.fields["fluence"], groups),
         )
-        found._local = threading.local()
         return found
 
     def without_features(self) -> "Marcher":
@@ -138,7 +139,7 @@ class Marcher:
     def _in_lamps_alone(self) -> "Marcher":
         """The same without features and suns."""
         dark = [replace(medium, sun_depths=[]) for medium in self._media]
-        options = replace(self._options, depth_samples=1, fluence=None, shadow_maps=None, most_detail=1)
+        options = replace(self._options, depth_samples=1, fluence=None, shadow_maps=None, most_detail=1, suns=None)
         lamps = self._lamps and replace(self._lamps, fluence=None)
         return Marcher(dark, options, self._indices, self._stop, lamps)
 
@@ -150,7 +151,6 @@ class Marcher:
         found._lamps = replace(whole._lamps, lamps=[whole._lamps.lamps[number]], means=[whole._lamps.mean(number)])
         listed = structures.rows_of(whole._scene.fields["lamp_list"], [number])
         found._scene = structures.copied(whole._scene, lamps=1, lamp_list=listed)
-        found._local = threading.local()
         return found
 
     def __call__(self, rays: RayBatch) -> RaySegment:
@@ -174,7 +174,7 @@ class Marcher:
             max_count=int(counts.max(initial=1)),
             stop=self._stop,
         )
-        scratch = self._scratch(batch.max_count)
+        scratch = self._scratch(batch)
         batch.scratch = scratch.ctypes.data
         alpha, depth = np.empty((2, count))
         scattering = len(self._options.scattering)
@@ -230,15 +230,16 @@ class Marcher:
             scattering_depth=scattering_depth,
         )
 
-    def _scratch(self, max_count: int) -> np.ndarray:
-        """Scratch memory of the calling thread."""
-        size = self._kernels.scratch_bytes(self._scene, max_count)
+    def _scratch(self, batch: structures.Shared) -> np.ndarray:
+        """Scratch memory of the calling thread, for a batch of rays."""
+        size = self._kernels.scratch_bytes(self._scene, batch)
         if getattr(self._local, "scratch", None) is None or len(self._local.scratch) < size:
             self._local.scratch = np.empty(size, np.uint8)
         return self._local.scratch
 
     def _describe(self, channels: list[int]) -> structures.Shared:
         options, most, lamps = self._options, self._options.depth_samples, self._lamps
+        suns = options.suns
         wide, wide_weights = legendre_nodes(MANY)
         nodes, weights = np.zeros((2, most + 1, most))
         for count in possible_counts(most):
@@ -253,6 +254,8 @@ class Marcher:
             varying=self._varying,
             scattering=len(options.scattering),
             media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
+            spheres=None if suns is None else np.array([medium.sphere for medium in self._media]).reshape(-1, 4),
+            sun_directions=None if suns is None else np.ascontiguousarray(suns, np.float64),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),

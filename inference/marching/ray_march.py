@@ -40,7 +40,8 @@ class MarchOptions:
     volumes. groups: numbers of the volumes that the network treats as one medium, each alone if None. optimizations:
     those in use, as in Settings. quadrature: where depth samples lie in a ray's opacity. scattering: colour channels
     whose scattering is gathered, by number; a single channel unless an albedo varies in colour. most_detail: largest of
-    RayBatch.detail. at_start: each ray has one depth sample, where it begins, in density or not.
+    RayBatch.detail. at_start: each ray has one depth sample, where it begins, in density or not. suns: (L, 3), unit
+    vectors towards the suns, which rays use to pass by volumes far away; None if that is not wanted.
     """
 
     depth_samples: int
@@ -52,6 +53,7 @@ class MarchOptions:
     scattering: Sequence[int] = (0,)
     most_detail: int = 1
     at_start: bool = False
+    suns: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

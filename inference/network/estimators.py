@@ -55,6 +55,29 @@ class LitPoints:
         """As `numbers`, a slice for all of them."""
         return slice(None) if self.numbers is None else self.numbers
 
+    def joined(self, numbers: np.ndarray, weights: np.ndarray) -> "LitPoints":
+        """Means over the points that have a number in common, int (N,) from 0 on, by weights (N,).
+
+        All of these are on one ray, in one group of volumes. What rays gathered of suns and lamps is left out.
+        """
+        first = np.unique(numbers, return_index=True)[1]
+        total = np.bincount(numbers, weights)
+        weights = np.where(total[numbers] > 0.0, weights, 1.0)
+        total = np.bincount(numbers, weights)
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(numbers, weights * column) / total for column in values.T], axis=1)
+
+        depths = None if self.depths is None else mean(self.depths[self.places]).astype(np.float32)
+        return LitPoints(
+            positions=mean(self.positions),
+            directions=self.directions[first],
+            jitter=None if self.jitter is None else self.jitter[first],
+            group=self.group if isinstance(self.group, int) else self.group[first],
+            depths=depths,
+            image=None if self.image is None else (self.image[0][first], self.image[1][first]),
+        )
+
     def take(self, points: np.ndarray | slice) -> "LitPoints":
         """Some of the points, by number, of those that have no jitter and are numbered one after another."""
         assert self.numbers is None and self.jitter is None
@@ -87,6 +110,10 @@ class Estimator(Protocol):
     @property
     def needs_depths(self) -> bool:
         """Whether it reads optical depths on the ray."""
+
+    @property
+    def varies_slowly(self) -> bool:
+        """Whether the mean point of several on a ray tells the mean of their light, where these are close together."""
 
     @property
     def uncertainty(self) -> UncertaintyNetwork | None:
@@ -127,7 +154,7 @@ class LightEstimator:
     irradiance: Callable[[np.ndarray], np.ndarray | np.float32]
     turn: Turn
     uncertainty: UncertaintyNetwork | None = None
-    coloured = needs_depths = False
+    coloured = needs_depths = varies_slowly = False
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:
@@ -199,6 +226,11 @@ class EnvironmentEstimator(Estimator):
         return self.predictor.skies.channels > 1
 
     @property
+    def varies_slowly(self) -> bool:
+        """Where no direction is brighter than another."""
+        return self.predictor.skies.even
+
+    @property
     def answers(self) -> int:
         """One for each albedo."""
         return len(self.albedos.values)
@@ -226,7 +258,7 @@ class EmissionEstimator(Estimator):
     emission: ScatteredEmission
     anisotropy: float
     uncertainty: UncertaintyNetwork | None = None
-    coloured, needs_depths, answers = True, False, 0
+    coloured, needs_depths, varies_slowly, answers = True, False, False, 0
 
     @property
     def quantities(self) -> list[tuple[bool, list[int]]]:

@@ -22,50 +22,62 @@ LARGER_CELLS = (1.25, 8.0), (0.5, 4.0)
 LARGER_COLOURED_CELLS = ((0.25, 2.0),)
 #: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
 LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 0.4), 2
+# Volumes with their media.
+Members = Sequence[tuple[Volume, Medium]]
+# Whether each corner of a box is at the end of each axis.
+_ENDS = np.array(list(itertools.product([False, True], repeat=3)))
 
 
-def box_corners(volume: Volume) -> np.ndarray:
-    """Corners (8, 3) of a volume's box in the world."""
-    ends = [(-0.5, n - 0.5) for n in volume.density.shape]
-    index = np.array(list(itertools.product(*ends)))
-    return index @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
+def box_corners(volumes: Sequence[Volume]) -> np.ndarray:
+    """Corners (V, 8, 3) of volumes' boxes in the world."""
+    matrices, shapes = _placed(volumes)
+    index = np.where(_ENDS, shapes[:, None] - 0.5, -0.5)
+    return index @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
 
 
-def smallest_pixel(camera: Camera, settings: Settings, corners: np.ndarray) -> float:
-    """Width of a pixel, in world units, where the box around world corners (N, 3) is nearest; 0 from inside of it."""
+def smallest_pixels(camera: Camera, settings: Settings, corners: np.ndarray) -> np.ndarray:
+    """Width (N,) of a pixel, in world units, where boxes around world corners (N, K, 3) are nearest; 0 from inside."""
     eye, width = camera.world_matrix[:3, 3], settings.detail_width or camera.resolution[0]
-    nearest = np.linalg.norm(np.clip(eye, corners.min(axis=0), corners.max(axis=0)) - eye)
-    return float(pixel_size(camera, np.array([nearest]))[0]) * camera.resolution[0] / width
+    nearest = np.linalg.norm(np.clip(eye, corners.min(axis=1), corners.max(axis=1)) - eye, axis=1)
+    return pixel_size(camera, nearest) * camera.resolution[0] / width
 
 
-def coarser_light(members: Sequence[tuple[Volume, Medium]], lamps: bool, camera: Camera, settings: Settings) -> int:
-    """Octaves by which cells of the coarse transport are larger than usual in volumes that become one medium.
+def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settings: Settings) -> list[int]:
+    """Octaves (G,) by which cells of the coarse transport are larger than usual, in groups that are one medium each.
 
     lamps: whether any shine, whose light the transport itself may be.
     """
     if lamps or "level_of_detail" not in settings.optimizations or not abilities(settings.model).every_light:
-        return 0
-    corners = np.concatenate([box_corners(volume) for volume, _ in members])
-    edge = max(_edges(members[0][0])) if len(members) == 1 else float(np.ptp(corners, axis=0).max())
-    cell, pixel = edge / TRANSPORT_CELLS, smallest_pixel(camera, settings, corners)
-    depth = cell * sum(_peak(*pair) for pair in members)
-    kinds = LARGER_COLOURED_CELLS if any(volume.scattering is not None for volume, _ in members) else LARGER_CELLS
-    return sum(
-        cell * 2**n <= settings.tolerance * pixels * pixel and depth * 2**n <= most
-        for n, (pixels, most) in enumerate(kinds, 1)
-    )
+        return [0] * len(groups)
+    volumes = [volume for members in groups for volume, _ in members]
+    if not volumes:
+        return []
+    boxes, starts = box_corners(volumes), np.cumsum([0, *map(len, groups)])[:-1]
+    low, high = np.minimum.reduceat(boxes.min(axis=1), starts), np.maximum.reduceat(boxes.max(axis=1), starts)
+    alone = np.array([len(members) == 1 for members in groups])
+    cells = np.where(alone, _edges(volumes).max(axis=1)[starts], (high - low).max(axis=1)) / TRANSPORT_CELLS
+    pixels = smallest_pixels(camera, settings, np.stack([low, high], axis=1))
+    depths = cells * np.add.reduceat([_peak(*pair) for members in groups for pair in members], starts)
+    varies = np.array([any(volume.scattering is not None for volume, _ in members) for members in groups])
+    octaves = np.zeros(len(groups), int)
+    for kinds, groups_of_kind in ((LARGER_CELLS, ~varies), (LARGER_COLOURED_CELLS, varies)):
+        for n, (most, depth) in enumerate(kinds, 1):
+            small = (cells * 2**n <= settings.tolerance * most * pixels) & (depths * 2**n <= depth)
+            octaves += small & groups_of_kind
+    return octaves.tolist()
 
 
-def coarser_shadows(volume: Volume, medium: Medium, camera: Camera, settings: Settings) -> int:
-    """Octaves by which voxels of a volume's shadows are larger than those of its grid."""
-    if "level_of_detail" not in settings.optimizations:
-        return 0
-    shape, (pixels, most) = volume.density.shape, LARGER_VOXELS
-    finer = 1 if isinstance(volume.density, SparseGrid) else refinement(shape)
-    voxels = [edge / (n * finer) for edge, n in zip(_edges(volume), shape)]
-    pixel = smallest_pixel(camera, settings, box_corners(volume))
-    times = min(pixels * pixel / min(voxels), most / max(max(voxels) * _peak(volume, medium), 1e-30))
-    return int(np.clip(np.floor(np.log2(max(times, 1.0))), 0, MOST_COARSER_VOXELS))
+def coarser_shadows(volumes: Members, camera: Camera, settings: Settings) -> list[int]:
+    """Octaves (V,) by which voxels of volumes' shadows are larger than those of their grids."""
+    if "level_of_detail" not in settings.optimizations or not volumes:
+        return [0] * len(volumes)
+    placed, (most, depth) = [volume for volume, _ in volumes], LARGER_VOXELS
+    finer = [1 if isinstance(volume.density, SparseGrid) else refinement(volume.density.shape) for volume in placed]
+    voxels = _edges(placed) / (_placed(placed)[1] * np.array(finer)[:, None])
+    peaks = np.array([_peak(*pair) for pair in volumes])
+    pixels = smallest_pixels(camera, settings, box_corners(placed))
+    times = np.minimum(most * pixels / voxels.min(axis=1), depth / np.maximum(voxels.max(axis=1) * peaks, 1e-30))
+    return np.clip(np.floor(np.log2(np.maximum(times, 1.0))), 0, MOST_COARSER_VOXELS).astype(int).tolist()
 
 
 def without_detail(settings: Settings) -> Settings:
@@ -78,6 +90,13 @@ def _peak(volume: Volume, medium: Medium) -> float:
     return float(medium.sigma_t.max()) * volume.peak
 
 
-def _edges(volume: Volume) -> list[float]:
-    """Of a volume's box, in world units."""
-    return (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * volume.density.shape).tolist()
+def _placed(volumes: Sequence[Volume]) -> tuple[np.ndarray, np.ndarray]:
+    """World from indices (V, 4, 4) and voxels (V, 3) of volumes."""
+    matrices = np.array([volume.world_from_index for volume in volumes]).reshape(-1, 4, 4)
+    return matrices, np.array([volume.density.shape for volume in volumes], np.float64).reshape(-1, 3)
+
+
+def _edges(volumes: Sequence[Volume]) -> np.ndarray:
+    """Of volumes' boxes (V, 3), in world units."""
+    matrices, shapes = _placed(volumes)
+    return np.linalg.norm(matrices[:, :3, :3], axis=1) * shapes

@@ -10,7 +10,7 @@ from ..numerics.alike import alike_vector
 from ..scene.camera import Camera
 from ..scene.description import Medium, Volume
 from ..scene.settings import Settings
-from .detail import box_corners, smallest_pixel
+from .detail import box_corners, smallest_pixels
 from .overlap import MANY
 from .plan import SortedScene, attenuates, emits
 
@@ -61,10 +61,10 @@ def _kind(volume: Volume, medium: Medium) -> Hashable:
 def _joins(scene: SortedScene, members: list[int], camera: Camera, settings: Settings) -> list[Join]:
     """One, or none where its voxels would be too many."""
     volumes = [scene.volumes[v][0] for v in members]
-    corners = np.concatenate([box_corners(volume) for volume in volumes])
+    corners = box_corners(volumes).reshape(-1, 3)
     low, high = corners.min(axis=0), corners.max(axis=0)
     finest = min(float(np.linalg.norm(volume.world_from_index[:3, :3], axis=0).min()) for volume in volumes)
-    wanted = max(PIXELS * smallest_pixel(camera, settings, corners), FINER * finest)
+    wanted = max(PIXELS * float(smallest_pixels(camera, settings, corners[None])[0]), FINER * finest)
     # In octaves, so that the voxels stay the same while the camera moves.
     edge = finest * 2.0 ** float(np.floor(np.log2(wanted / finest)))
     most = min(MOST_VOXELS, SHARE_OF_MEMORY * settings.memory_limit / VOXEL_BYTES)

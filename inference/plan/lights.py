@@ -117,6 +117,8 @@ def without_faint(
 
     others: all other lights. boxes: corners (8, 3) of each volume's box, by its name.
     """
+    if not lamps:
+        return []
     most, total = np.zeros((len(boxes), len(lamps))), np.zeros(len(boxes))
     for v, (name, corners) in enumerate(boxes.items()):
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -143,7 +145,7 @@ def lamp_shares(
     others, boxes: as of `without_faint`.
     """
     shares = np.zeros(len(lamps))
-    for name, corners in boxes.items():
+    for name, corners in boxes.items() if lamps else ():
         low, high = corners.min(axis=0), corners.max(axis=0)
         points, lit = low + EIGHTHS * (high - low), [k for k, lamp in enumerate(lamps) if lamp.lights(name)]
         rest = sum(light.mean_fluence() for light in others if light.lights(name))

@@ -227,9 +227,14 @@ class SortedScene:
     left_out: list[str]
 
     @property
+    def members(self) -> list[list[tuple[Volume, Medium]]]:
+        """Volume and Medium of each volume in each group."""
+        return [[self.volumes[v] for v in group] for group in self.groups]
+
+    @property
     def corners(self) -> np.ndarray:
         """Corners (N, 3) of the volumes' boxes in the world."""
-        return np.concatenate([box_corners(volume) for volume, _ in self.volumes])
+        return box_corners([volume for volume, _ in self.volumes]).reshape(-1, 3)
 
 
 def sort_scene(
@@ -255,7 +260,7 @@ def sort_scene(
             raise SceneError(f"{volume.name}: the density grid is zero everywhere")
     names = [volume.name for volume, _ in rendered]
     names += [surface.name for surface in surfaces if surface.reflectance.any()]
-    glowing = mesh_lights(surfaces, np.concatenate([box_corners(volume) for volume, _ in rendered])) if rendered else []
+    glowing = mesh_lights(surfaces, box_corners([volume for volume, _ in rendered]).reshape(-1, 3)) if rendered else []
     return SortedScene(
         volumes=rendered,
         groups=overlapping(rendered)[0],
@@ -294,7 +299,8 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
         suns = [replace(sun, part_of=None) for sun in suns]
     suns, lamps = _needed_suns(suns, settings, left_out), shining(Families.of(scene.lights).lamps, left_out)
     others: list[Sun | Environment] = [*suns, *environments]
-    boxes = {volume.name: box_corners(volume) for volume, _ in scene.volumes}
+    volumes = [volume for volume, _ in scene.volumes]
+    boxes = dict(zip([volume.name for volume in volumes], box_corners(volumes)))
     if "faint_lamps" in settings.optimizations:
         lamps = without_faint(lamps, others, boxes, left_out)
     left_out += [
@@ -336,12 +342,11 @@ def plan_tiles(
 ) -> tuple[list[tuple[int, int, int, int]], int]:
     """Tiles of the camera's window, and the bytes that a render needs, estimated; suns: that are rendered."""
     rendered = scene.volumes
-    shadows = [coarser_shadows(*pair, camera, settings) for pair in rendered]
+    shadows = coarser_shadows(rendered, camera, settings)
     memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns, shadows)
     memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
     groups = [[rendered[v][0] for v in group] for group in scene.groups]
-    members = [[rendered[v] for v in group] for group in scene.groups]
-    coarser = [coarser_light(group, bool(lights.lamps), camera, settings) for group in members]
+    coarser = coarser_light(scene.members, bool(lights.lamps), camera, settings)
     memory += field_bytes(groups, coarser, len(suns) + len(lights.lamps), lights.from_everywhere)
     if lights.sky:
         # That of surfaces, and that which they hide in places.
@@ -387,9 +392,8 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
     channels = _channel_groups(scene.volumes, settings)
     if len(channels) == 1:
         left_out.append("two of three colour channels: extinction is grey")
-    multiple, scattered_emission, coarser = [], [], []
-    for group in scene.groups:
-        members = [scene.volumes[v] for v in group]
+    multiple, scattered_emission = [], []
+    for members in scene.members:
         directed = [*bright, *(lights.lamps if lights.predicts_lamps else ())]
         linked = lights.from_everywhere or bool(linking(directed, [volume.name for volume, _ in members]).any())
         predicted, scattered = _plan_group(members, linked, settings, planned, left_out)
@@ -397,7 +401,6 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         predicted |= lights.from_everywhere and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
-        coarser.append(coarser_light(members, bool(lights.lamps), camera, settings))
     tiles, memory = plan_tiles(scene, lights, suns, camera, settings)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
@@ -409,8 +412,8 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         groups=scene.groups,
         multiple=multiple,
         scattered_emission=scattered_emission,
-        coarser=coarser,
-        coarser_shadows=[coarser_shadows(*pair, camera, settings) for pair in scene.volumes],
+        coarser=coarser_light(scene.members, bool(lights.lamps), camera, settings),
+        coarser_shadows=coarser_shadows(scene.volumes, camera, settings),
         optimizations=settings.optimizations,
         memory=memory,
         tiles=tiles,

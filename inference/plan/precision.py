@@ -56,7 +56,7 @@ def in_range(volume: Volume, medium: Medium, known: Rescaled | None = None) -> t
     size = (np.linalg.norm(volume.world_from_index[:3, :3], axis=0) * volume.density.shape).max()
     sigma_t = np.minimum(sigma_t, MAX_SIGMA_HAT / (peak * size))
     sigma_t = np.where(sigma_t * peak * size < MIN_SIGMA_HAT, 0.0, sigma_t)
-    return volume, replace(medium, sigma_t=sigma_t)
+    return volume, medium if np.array_equal(sigma_t, medium.sigma_t) else replace(medium, sigma_t=sigma_t)
 
 
 def _rescaled(volume: Volume, medium: Medium) -> tuple[Volume, Any, int]:

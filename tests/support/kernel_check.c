@@ -86,12 +86,12 @@ static void check_march(int64_t variant, const float *padded, const float *depth
                    .peak_thickness = 0.3, .peak_growth = 3.0, .finest = 0.0625, .behind = INFINITY, .behind_emission = INFINITY, .dark = 80.0,
                    .max_tau_sun = 60.0, .max_tau_ahead = 8.0, .scales = {1.0, 0.578, 0.334}};
     double origin[3] = {-2.0, N / 2, N / 2}, direction[3] = {1.0, 0.0, 0.0}, near_distance = 0.0, far_distance = N + 3.0;
-    int64_t (*scratch_bytes)(const Scene *, int64_t) = (int64_t(*)(const Scene *, int64_t))need("mrpnn_scratch_bytes");
+    int64_t (*scratch_bytes)(const Scene *, Rays *) = (int64_t(*)(const Scene *, Rays *))need("mrpnn_scratch_bytes");
     int64_t (*march)(int64_t, const Scene *, const Rays *, Gathered *) =
         (int64_t(*)(int64_t, const Scene *, const Rays *, Gathered *))need("mrpnn_march");
     Rays rays = {.rays = 1, .origins = origin, .directions = direction, .near_distance = &near_distance,
-                 .far_distance = &far_distance, .counts = counts, .max_count = 400,
-                 .scratch = malloc((size_t)scratch_bytes(&scene, 400))};
+                 .far_distance = &far_distance, .counts = counts, .max_count = 400};
+    rays.scratch = malloc((size_t)scratch_bytes(&scene, &rays));
     double alpha, depth, optical_depth, single, distance, weight;
     float fraction;
     Gathered out = {.alpha = &alpha, .depth = &depth, .optical_depth = &optical_depth, .single_scattering = &single,

@@ -141,6 +141,7 @@ def random_scene(seed: int, recipe: Recipe, rays: int = 64) -> MarchScene:
         recipe.optimizations,
         scattering=scattering_channels(media, channels),
         most_detail=recipe.detail,
+        suns=directions,
     )
     lamps = _lamps(random, recipe, media) if recipe.lamps else None
     return MarchScene(media, options, channels, batch, lamps)

@@ -185,3 +185,22 @@ def test_a_march_that_is_to_stop_is_cancelled():
     marcher = Marcher(scene.media, scene.options, scene.channels, ctypes.c_int32(1))
     with pytest.raises(Cancelled):
         marcher(scene.rays)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_volumes_far_from_a_ray_change_nothing(seed):
+    scene = random_scene(seed, Recipe(volumes=12, suns=2, voxels=(20, 24, 16), emission=1))
+    everything = dataclasses.replace(scene, options=dataclasses.replace(scene.options, suns=None))
+    for name, expected in quantities(compiled(everything)).items():
+        np.testing.assert_array_equal(quantities(compiled(scene))[name], expected, err_msg=name)
+
+
+def test_rays_take_the_memory_of_the_volumes_that_they_meet():
+    scene = random_scene(1, Recipe(volumes=24, voxels=(8, 8, 8)), rays=4)
+    held = []
+    for suns in (scene.options.suns, None):
+        options = dataclasses.replace(scene.options, suns=suns)
+        marcher = Marcher(scene.media, options, scene.channels, ctypes.c_int32(0))
+        marcher(scene.rays)
+        held.append(len(marcher._local.scratch))
+    assert held[0] < 0.6 * held[1]

@@ -34,25 +34,38 @@ def change(found, expected):
 def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
     distances = np.geomspace(0.1, 1e3, 60)
     views = [camera(distance, resolution=(200, 120)) for distance in distances]
-    light = [coarser_light([(CLOUD, MEDIUM)], False, view, SETTINGS) for view in views]
-    assert light == sorted(light) and light[0] == 0 and light[-1] == len(LARGER_CELLS)
-    thin = Medium(5.0)
-    shadows = [coarser_shadows(CLOUD, thin, view, SETTINGS) for view in views]
-    assert shadows == sorted(shadows) and shadows[0] == 0 and shadows[-1] > 0
-    assert not any(
-        coarser_light([(CLOUD, MEDIUM)], False, view, WHOLE) or coarser_shadows(CLOUD, thin, view, WHOLE)
-        for view in views
-    )
+
+    def light(view, medium=MEDIUM, lamps=False, settings=SETTINGS):
+        return coarser_light([[(CLOUD, medium)]], lamps, view, settings)[0]
+
+    def shadows(view, medium, settings=SETTINGS):
+        return coarser_shadows([(CLOUD, medium)], view, settings)[0]
+
+    found = [light(view) for view in views]
+    assert found == sorted(found) and found[0] == 0 and found[-1] == len(LARGER_CELLS)
+    thin, dense = Medium(5.0), Medium(1e5)
+    of_shadows = [shadows(view, thin) for view in views]
+    assert of_shadows == sorted(of_shadows) and of_shadows[0] == 0 and of_shadows[-1] > 0
+    assert not any(light(view, settings=WHOLE) or shadows(view, thin, WHOLE) for view in views)
     # The light of lamps may be the transport's own, and thick cells tell the light of dense media badly.
-    assert coarser_light([(CLOUD, MEDIUM)], True, views[-1], SETTINGS) == 0
-    dense = Medium(1e5)
-    assert coarser_light([(CLOUD, dense)], False, views[-1], SETTINGS) == 0
-    assert coarser_shadows(CLOUD, dense, views[-1], SETTINGS) == 0
+    assert light(views[-1], lamps=True) == light(views[-1], dense) == shadows(views[-1], dense) == 0
     # Where more error is tolerated, larger cells do from nearer.
-    nearer = [coarser_light([(CLOUD, MEDIUM)], False, view, replace(SETTINGS, tolerance=4.0)) for view in views]
-    assert all(far <= near for far, near in zip(light, nearer)) and sum(nearer) > sum(light)
+    nearer = [light(view, settings=replace(SETTINGS, tolerance=4.0)) for view in views]
+    assert all(far <= near for far, near in zip(found, nearer)) and sum(nearer) > sum(found)
     # A network that knows suns alone has cells of its own.
-    assert coarser_light([(CLOUD, MEDIUM)], False, views[-1], replace(SETTINGS, model="paper")) == 0
+    assert light(views[-1], settings=replace(SETTINGS, model="paper")) == 0
+
+
+def test_volumes_and_groups_are_told_apart():
+    view = camera(14.0, resolution=(200, 120))
+    pairs = [(volume_at(place, 0.3), Medium(sigma_t)) for place, sigma_t in ((0.0, 30.0), (13.5, 30.0), (1.0, 1e4))]
+    groups = [pairs[:1], pairs[1:2], pairs[::2]]
+    assert coarser_light(groups, False, view, SETTINGS) == [
+        coarser_light([members], False, view, SETTINGS)[0] for members in groups
+    ]
+    assert coarser_shadows(pairs, view, SETTINGS) == [coarser_shadows([pair], view, SETTINGS)[0] for pair in pairs]
+    assert len(set(coarser_light(groups, False, view, SETTINGS))) > 1
+    assert coarser_light([], False, view, SETTINGS) == coarser_shadows([], view, SETTINGS) == []
 
 
 @pytest.mark.parametrize("distance", [8.0, 14.0, 30.0])
@@ -69,9 +82,21 @@ def test_colours_hardly_change():
     mask = np.random.default_rng(2).random((4, 4, 4)).repeat(15, 0).repeat(15, 1).repeat(15, 2).astype(np.float32)
     albedo = np.stack([0.95 - 0.7 * mask, 0.3 + 0.6 * mask, np.full_like(mask, 0.9)], axis=3)
     coloured, view = [(CLOUD, Medium(30.0, albedo, 0.6))], camera(60.0, resolution=(96, 64))
-    assert coarser_light([(coloured[0][0], MEDIUM)], False, view, SETTINGS) == 2
+    assert coarser_light([[(CLOUD, MEDIUM)]], False, view, SETTINGS) == [2]
     found, expected = (render(coloured, LIGHTS, view, settings) for settings in (SETTINGS, WHOLE))
     assert 0.0 < change(found, expected) < 5e-3
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_an_even_world_is_asked_once_on_each_ray_of_a_small_volume(even):
+    lights = LIGHTS[1:] if even else [Environment(np.random.default_rng(0).random((8, 16, 3)))]
+    # They overlap, so that rays meet either's samples in turn.
+    pairs = [(volume_at(place, angle), MEDIUM) for place, angle in ((-0.2, 0.0), (0.7, 0.0))]
+    view = camera(30.0, resolution=(96, 64))
+    found, expected = (render(pairs, lights, view, settings) for settings in (SETTINGS, WHOLE))
+    few, many = (layer.report.counts["network points"] for layer in (found, expected))
+    assert few <= found.report.counts["rays that meet density"] * 2 and few < 0.7 * many if even else few == many
+    assert change(found, expected) < 5e-3
 
 
 def volume_at(place, angle):
