@@ -15,11 +15,11 @@ from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
 from .resolution import TRANSPORT_CELLS, refinement
 
-#: Largest edges in pixels, and optical thicknesses, of cells of the coarse transport that are 2 and 4 times as large as
-#: usual: the light of few cells errs wherever it is seen.
-LARGER_CELLS = (1.25, 8.0), (0.5, 4.0)
+#: Largest edges in pixels, and optical thicknesses where matter is, of cells of the coarse transport that are 2 and 4
+#: times as large as usual: the light of few cells errs wherever it is seen.
+LARGER_CELLS = (1.25, 0.6), (0.5, 0.3)
 #: The same where albedos vary, which larger cells mix.
-LARGER_COLOURED_CELLS = ((0.25, 2.0),)
+LARGER_COLOURED_CELLS = ((0.25, 0.3),)
 #: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
 LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 0.4), 2
 # Volumes with their media.
@@ -57,7 +57,8 @@ def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settin
     alone = np.array([len(members) == 1 for members in groups])
     cells = np.where(alone, _edges(volumes).max(axis=1)[starts], (high - low).max(axis=1)) / TRANSPORT_CELLS
     pixels = smallest_pixels(camera, settings, np.stack([low, high], axis=1))
-    depths = cells * np.add.reduceat([_peak(*pair) for members in groups for pair in members], starts)
+    filled = [medium.sigma_t.max() * volume.filled for members in groups for volume, medium in members]
+    depths = cells * np.add.reduceat(filled, starts)
     varies = np.array([any(volume.scattering is not None for volume, _ in members) for members in groups])
     octaves = np.zeros(len(groups), int)
     for kinds, groups_of_kind in ((LARGER_CELLS, ~varies), (LARGER_COLOURED_CELLS, varies)):

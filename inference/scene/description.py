@@ -121,7 +121,7 @@ class Volume:
         colour channels or three, of the density's kind; None for a uniform albedo. Set by `plan.plan.in_range`.
     motion: in the camera's shutter; None for a volume that stands still. velocity: of what it holds, or None.
 
-    peak: largest density.
+    peak: largest density. filled: mean density where matter is, weighted by density.
 
     Volumes that hold the very same arrays are instances: what a render derives from their voxels is made once.
 
@@ -137,6 +137,7 @@ class Volume:
     motion: Motion | None = None
     velocity: Velocity | None = None
     peak: float = field(init=False, default=0.0)
+    filled: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, SparseGrid):
@@ -148,7 +149,7 @@ class Volume:
             raise SceneError(f"{self.name}: density holds NaN or infinite values")
         if low < 0.0:
             raise SceneError(f"{self.name}: density holds negative values (lowest {low:g})")
-        self.peak = high
+        self.peak, self.filled = high, _weighted_mean(self.density, high)
         self.world_from_index = affine_matrix(self.world_from_index, f"{self.name}: transform")
         if self.emission is not None:
             self._check_emission()
@@ -201,6 +202,15 @@ class Volume:
     def scattering_of(self, channel: int) -> Voxels | None:
         """Density times albedo in a colour channel; None for a uniform albedo."""
         return None if self.scattering is None else self.scattering[channel if len(self.scattering) == 3 else 0]
+
+
+def _weighted_mean(density: Voxels, peak: float) -> float:
+    """Mean of a density, weighted by itself; the peak where squares leave the range of numbers."""
+    values = (density.values if isinstance(density, SparseGrid) else density).ravel()
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        square, total = float(np.dot(values, values)), float(values.sum())
+    found = square / total if total > 0.0 else 0.0
+    return found if 0.0 < found <= peak else peak
 
 
 def _same_grid(a: Voxels, b: Voxels) -> bool:

@@ -20,7 +20,7 @@ from inference.scene.sparse_grid import SparseGrid
 from tests.support.volumes import SUN, camera, cloud
 
 CLOUD = cloud(voxels=60)
-MEDIUM = Medium(30.0, 0.95, 0.6)
+MEDIUM = Medium(8.0, 0.95, 0.6)
 SETTINGS = Settings()
 WHOLE = replace(SETTINGS, optimizations=SETTINGS.optimizations - {"level_of_detail"})
 LIGHTS = [SUN, Environment(np.full((1, 2, 3), 0.3))]
@@ -81,7 +81,7 @@ def test_pictures_hardly_change(distance):
 def test_colours_hardly_change():
     mask = np.random.default_rng(2).random((4, 4, 4)).repeat(15, 0).repeat(15, 1).repeat(15, 2).astype(np.float32)
     albedo = np.stack([0.95 - 0.7 * mask, 0.3 + 0.6 * mask, np.full_like(mask, 0.9)], axis=3)
-    coloured, view = [(CLOUD, Medium(30.0, albedo, 0.6))], camera(60.0, resolution=(96, 64))
+    coloured, view = [(CLOUD, Medium(8.0, albedo, 0.6))], camera(60.0, resolution=(96, 64))
     assert coarser_light([[(CLOUD, MEDIUM)]], False, view, SETTINGS) == [2]
     found, expected = (render(coloured, LIGHTS, view, settings) for settings in (SETTINGS, WHOLE))
     assert 0.0 < change(found, expected) < 5e-3

@@ -7,6 +7,7 @@ import pytest
 from inference import Camera, Medium, SceneError, Settings, Sun, Volume
 from inference.plan.plan import make_plan
 from inference.scene.camera_rays import camera_rays
+from inference.scene.sparse_grid import SparseGrid
 
 GRID = np.ones((2, 2, 2), np.float32)
 
@@ -90,3 +91,16 @@ def test_merging_suns_leaves_the_callers_suns_alone():
     first = Sun((0, 0, 1), 1.0)
     plan_of([Medium(1.0, 0.5)], [first, Sun((0, 0, 1), 2.0)])
     np.testing.assert_array_equal(first.irradiance, [1.0, 1.0, 1.0])
+
+
+def test_the_filled_density_is_that_of_matter_whatever_surrounds_it():
+    values = np.zeros((20, 9, 12), np.float32)
+    values[3:8, 2:6, 4:9] = np.random.default_rng(0).uniform(0.5, 2.0, (5, 4, 5))
+    matter = values[values > 0.0].astype(np.float64)
+    expected = (matter**2).sum() / matter.sum()
+    for density in (values, SparseGrid.of_dense(values)):
+        assert Volume(density, np.eye(4)).filled == pytest.approx(expected, rel=1e-5)
+    for scale in (1e-30, 1e30):
+        extreme = Volume(values * np.float32(scale), np.eye(4))
+        assert extreme.filled == extreme.peak
+    assert Volume(np.zeros((2, 2, 2)), np.eye(4)).filled == 0.0
