@@ -125,7 +125,7 @@ def surface_light(
                 lamp_power[channel] += captured
     if scene.plan.sky:
         sky, fluence = _sky_light(scene.plan.sky, seen)
-        if shading and any(environment.weight for environment in plan.environments):
+        if shading:
             sky *= _sky_visibility(shading, plan.sky, seen, scene.corners, cancel)[:, None]
         # What volumes take from the sky in front of a surface, they take from its irradiance.
         shaded = np.maximum(sky - form[:, None] * ball.area * fluence / (4.0 * np.pi), 0.0)
@@ -324,7 +324,8 @@ def _sky_visibility(
     whole, left = np.full(len(seen.points), 1e-30), np.zeros(len(seen.points))
     for sun in (sun for environment in sky for sun in directional_lights(environment, DIRECTIONS)):
         cancel.check()
-        light = sun_light(sun, seen) * sun.irradiance.mean()
+        # Of a part of the sky around a surface's horizon, the surface itself hides what its middle tells.
+        light = sun_light(sun, seen) * sun.irradiance.mean() * (seen.normals @ sun.direction > 0.0)
         whole += light
         left += light * sun_visibility(shading, sun, seen, corners, cancel)
     return left / whole
@@ -392,7 +393,7 @@ def sun_visibility(
     low, high = corners.min(axis=0), corners.max(axis=0)
     reach = SHADED_REACH * (high - low).max()
     inside = np.all((seen.points > low - reach) & (seen.points < high + reach), axis=1)
-    near, visible = np.flatnonzero(inside & (seen.normals @ direction > 0.0)), np.ones(len(seen.points))
+    near, visible = np.flatnonzero(inside & (sun_light(sun, seen) > 0.0)), np.ones(len(seen.points))
     if len(near):
         points = seen.points[near]
         ends = np.stack([points.min(axis=0), points.max(axis=0)], axis=1)

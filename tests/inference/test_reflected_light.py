@@ -116,6 +116,35 @@ def test_a_closed_room_is_as_bright_as_its_walls_throw_light_at_one_another(half
     assert (layer.rgb[seen] / layer.alpha[seen][:, None]).mean() == pytest.approx(0.2 / (1.0 - 0.6), rel=0.05)
 
 
+@pytest.mark.parametrize("window", [0.3, 0.9])
+def test_a_room_is_as_bright_as_what_enters_by_its_window(window):
+    """The power that walls absorb and that leaves is what an even World of radiance 1 sends in."""
+    half, reflectance = 1.5, 0.5
+    closed = room((-half,) * 3, (half,) * 3).triangles
+    walls = closed[~np.all(closed[:, :, 2] == half, axis=1)]
+    beside = [
+        rectangle(*ends, half).triangles
+        for ends in (
+            (-half, -window, -half, half),
+            (window, half, -half, half),
+            (-window, window, -half, -window),
+            (-window, window, window, half),
+        )
+    ]
+    triangles, smoke = np.concatenate([walls, *beside]), [(CLOUD, Medium(0.5, 1.0))]
+    sky, lit = Environment(np.ones((8, 16, 3), np.float32)), []
+    for value in (0.0, reflectance):
+        surface = Surface(triangles, "room", reflectance=value, covers=False)
+        lit.append(render(smoke, [sky], camera(), SETTINGS, None, None, CACHE, [surface]))
+    black, grey = lit
+    seen = grey.alpha > 0.05
+    found = ((grey.rgb - black.rgb)[seen] / grey.alpha[seen][:, None]).mean()
+    hole, whole = (2.0 * window) ** 2, 6.0 * (2.0 * half) ** 2
+    expected = reflectance * hole / ((whole - hole) * (1.0 - reflectance) + hole)
+    # As a mean over the walls; the middle sees where the light falls first a little brighter.
+    assert 0.7 < found / expected < 1.6
+
+
 def test_ground_reflects_its_colour():
     layer = picture([DOWN], [ground((1.0, 0.5, 0.0))])
     black = picture([DOWN], [ground()])
