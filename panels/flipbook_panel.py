@@ -14,6 +14,12 @@ class _FlipbookPanel:
     bl_region_type: Any = "WINDOW"
     bl_context = "render"
     bl_options: Any = {"DEFAULT_CLOSED"}
+    layout: "bpy.types.UILayout"
+
+    def split_layout(self) -> "bpy.types.UILayout":
+        """The panel's layout, labels beside values."""
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        return self.layout
 
 
 class MRPNN_PT_flipbook(_FlipbookPanel, bpy.types.Panel):
@@ -21,8 +27,7 @@ class MRPNN_PT_flipbook(_FlipbookPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_render"
 
     def draw(self, context: "bpy.types.Context") -> None:
-        settings, layout = flipbook_settings(context.scene), self.layout
-        layout.use_property_split, layout.use_property_decorate = True, False
+        settings, layout = flipbook_settings(context.scene), self.split_layout()
         for name in ("filepath", "file_format", "view"):
             layout.prop(settings, name)
         column = layout.column(align=True)
@@ -37,8 +42,7 @@ class MRPNN_PT_flipbook_advanced(_FlipbookPanel, bpy.types.Panel):
     bl_parent_id = "MRPNN_PT_flipbook"
 
     def draw(self, context: "bpy.types.Context") -> None:
-        settings, layout = flipbook_settings(context.scene), self.layout
-        layout.use_property_split, layout.use_property_decorate = True, False
+        settings, layout = flipbook_settings(context.scene), self.split_layout()
         for name in ("layout", "alpha", "angle", "padding", "normalized"):
             layout.prop(settings, name)
 
