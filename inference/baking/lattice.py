@@ -23,6 +23,8 @@ UNSEEN_DEPTH = 20.0
 VISIBILITY_CELLS = 64
 # Baked voxels per pixel: two pixels on an edge of the volume keep their difference.
 VOXELS_PER_PIXEL = 2.0
+# Baked voxels along the longest edge of a volume of few pixels. Light that is baked beside it is not absorbed in it.
+FEWEST_VOXELS = 32
 # Bytes per baked voxel: emission, what is predicted of it, density and masks.
 VOXEL_BYTES = 40
 
@@ -95,11 +97,14 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Se
 
 
 def joined_voxels(camera: Camera, corners: np.ndarray, voxel: float) -> int:
-    """Voxels along an edge of a baked one that the camera's pixels do not resolve.
+    """Voxels along an edge of a baked one that the camera's pixels do not resolve, while the volume has enough of them.
 
     corners: (8, 3), of the volume in the world. voxel: longest edge of its voxels, world units.
     """
-    return max(int(_pixel_size(camera, corners) / (VOXELS_PER_PIXEL * voxel)), 1)
+    # The longest edge of a box is at least its diagonal's length over the root of 3.
+    diagonal = 2.0 * float(np.linalg.norm(corners - corners.mean(axis=0), axis=1).max())
+    largest = min(_pixel_size(camera, corners) / VOXELS_PER_PIXEL, diagonal / (np.sqrt(3.0) * FEWEST_VOXELS))
+    return max(int(largest / voxel), 1)
 
 
 def _pixel_size(camera: Camera, corners: np.ndarray) -> float:

@@ -60,7 +60,9 @@ OPTIMIZATIONS = {
         "Interpolate Smooth Light", "Baked light is interpolated between voxels where these agree", 0.02
     ),
     "small_voxels": Optimization(
-        "Join Small Voxels", "Light is baked in voxels half as large as a pixel where the volume's are smaller", 0.02
+        "Join Small Voxels",
+        "Light is baked in voxels half as large as a pixel where the volume's are smaller, at least 32 along its edge",
+        0.02,
     ),
     "soft_shadows": Optimization(
         "Average Soft Shadows",
