@@ -108,6 +108,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         if self._viewport is None:
             self._viewport = Viewport()
         self._viewport.backdrop.read(depsgraph)
+        self._viewport.playing = context.screen.is_animation_playing
         space: Any = context.space_data
         if all(isinstance(update.id, bpy.types.Scene) for update in depsgraph.updates) and (
             self._viewport.shows(depsgraph, space)
@@ -116,6 +117,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
             return
         if not all(keeps_volumes(update) for update in depsgraph.updates):
             self._viewport.reader = VolumeReader()
+        if self._viewport.holds:
+            self._viewport.postponed = True
+            return
         self._viewport.read(depsgraph, space)
 
     def view_draw(self, context: "bpy.types.Context", depsgraph: "bpy.types.Depsgraph") -> None:
@@ -123,6 +127,7 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         view, size = context.region_data, (context.region.width, context.region.height)
         if self._viewport is None:
             return
+        self._viewport.playing = context.screen.is_animation_playing
         space: Any = context.space_data
         self._viewport.read_on(depsgraph, space)
         part = render_region(context, depsgraph.scene)
@@ -146,6 +151,9 @@ class MRPNNRenderEngine(bpy.types.RenderEngine):
         self.unbind_display_space_shader()
         gpu.state.blend_set("NONE")
         render_status(self, self._viewport.status)
+        if self._viewport.postponed and not self._viewport.holds:
+            self._viewport.read(depsgraph, space)
+            self.tag_redraw()
 
     def __del__(self) -> None:
         try:

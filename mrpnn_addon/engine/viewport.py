@@ -88,12 +88,14 @@ class Viewport:
     """The contents of one viewport, owned by its engine.
 
     reader: of volumes; valid until a volume's data or material changes. backdrop: the World behind the volumes.
+    playing: whether an animation plays. postponed: whether the scene has changed since it was described.
     """
 
     def __init__(self) -> None:
         self.backdrop = Backdrop(_watch)
         self.reader, self._prepared = VolumeReader(), Prepared(RenderCache())
         self.description: SceneDescription | None = None
+        self.playing = self.postponed = False
         self.message, self._unrendered = "", ""
         self._preview: Preview | None = None
         self._view: tuple | None = None
@@ -105,6 +107,15 @@ class Viewport:
         # Parts of the region: of the view and of the texture.
         self._part, self._place = WHOLE, WHOLE
 
+    @property
+    def holds(self) -> bool:
+        """Whether an animation plays on while a frame has no picture yet.
+
+        The frame gets its first one before another is begun, or none would be seen where frames follow sooner.
+        """
+        preview = self._preview
+        return self.playing and preview is not None and not (preview.number or preview.done)
+
     def shows(self, depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceView3D") -> bool:
         """Whether it has a description of the scene with the current visibility."""
         return self.description is not None and self._shown == _state(depsgraph, space)
@@ -114,7 +125,7 @@ class Viewport:
 
         A thread reads volumes first where that takes long.
         """
-        self._shown = _state(depsgraph, space)
+        self._shown, self.postponed = _state(depsgraph, space), False
         sources, loading = self.reader.wanted(depsgraph, space), self._loading
         if (
             loading is not None
@@ -170,7 +181,7 @@ class Viewport:
         """
         self.backdrop.update(camera, part)
         view = (view_key(camera), settings, part) if camera else None
-        if self.description is None or view is not None and view == self._view:
+        if self.description is None or self.holds or view is not None and view == self._view:
             return
         self._stop_preview()
         self._part = part

@@ -282,3 +282,37 @@ def test_exposure_counts_at_once(two):
     until_shown(two, (False, False))
     two.do("scene.cycles.film_exposure = 1.0")
     until_shown(two, (True, True))
+
+
+# Every picture takes a second more, many frames long.
+SLOW = """
+import sys, time
+preview = next(module for name, module in sys.modules.items() if name.endswith("mrpnn_addon.engine.preview"))
+steps, pictures = preview.steps, set()
+def slowly(*arguments):
+    time.sleep(1.0)
+    return steps(*arguments)
+preview.steps = slowly
+def watch():
+    shown = [v for v in gc.get_objects() if type(v).__name__ == "Viewport" and hasattr(v, "_drawn")]
+    pictures.update((id(v._drawn[0]), v._drawn[1]) for v in shown)
+    return 0.1 if preview.steps is slowly else None
+sun = bpy.data.objects["Sun"]
+for frame, turn in ((1, 0.0), (200, 3.0)):
+    sun.rotation_euler.y = turn
+    sun.keyframe_insert("rotation_euler", frame=frame)
+bpy.app.timers.register(watch)
+with over(area("VIEW_3D")): bpy.ops.screen.animation_play()
+"""
+
+
+def test_an_animation_that_plays_shows_pictures_that_take_longer_than_a_frame(two):
+    two.do(SLOW)
+    try:
+        two.until("len(pictures) > 3")
+        assert int(two.do("print(scene.frame_current)")) > 5
+    finally:
+        two.do("with over(area('VIEW_3D')): bpy.ops.screen.animation_cancel()\npreview.steps = steps")
+        two.do("sun.animation_data_clear(); scene.frame_set(1)")
+    # The last frame is shown once it stops.
+    until_shown(two, (True, True))
