@@ -8,14 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .description import Surface
-from .emitters import Emitter, QuadEmitter, SphereEmitter
+from .emitters import Emitter, QuadEmitter, SphereEmitter, signed_solid_angles
 from .lamps import MEDIUM_SIZE, MOST, SMALL, Lamp, distance_from_box
 
 # Sum of the vector areas of a closed mesh over its area, at most.
 CLOSED = 1e-3
+# Winding number beside a closed mesh, on its inner side, at least: the mean at so many points, so far from it relative
+# to its extent. It is 0.5 beside a sheet, and 0.85 in an open tube 1.5 times as long as wide.
+ENCLOSED, WINDING_POINTS, BESIDE = 0.85, 16, 1e-5
 # Least number of triangles from which patches are made.
 LEAST_TRIANGLES = 512
-# Number of patches up to which spheres represent a closed mesh better than patches do.
+# Number of patches up to which spheres represent a balanced mesh better than patches do.
 FEW_PATCHES = 6
 # Standard deviation along its longest axis, over the radius of the sphere of its area, from which on a body is not
 # compact: 0.58 for a ball, 0.71 for a flat disk.
@@ -37,9 +40,10 @@ FLAT = 0.05
 class MeshLight(Lamp):
     """The light that a surface emits, as a lamp.
 
-    surface: with emission above 0. Open meshes shine on both sides, closed meshes outwards. What hides behind other
-    parts of the mesh dims all of it alike.
-    power: W, float64 (3,). area: of the mesh. centre: (3,), mean of its area. closed: whether the mesh is.
+    surface: with emission above 0. Open meshes shine on both sides, closed meshes and long tubes outwards. What hides
+    behind other parts of the mesh dims all of it alike.
+    power: W, float64 (3,). area: of the mesh. centre: (3,), mean of its area. balanced: whether its vector areas add up
+    to 0. closed: whether it also encloses what is on its inner side.
     """
 
     surface: Surface
@@ -47,6 +51,7 @@ class MeshLight(Lamp):
     power: np.ndarray = field(init=False)
     receivers: frozenset[str] | None = field(init=False)
     area: float = field(init=False)
+    balanced: bool = field(init=False)
     closed: bool = field(init=False)
     _shares: dict[bytes, float] = field(init=False, repr=False, default_factory=dict)
 
@@ -54,7 +59,8 @@ class MeshLight(Lamp):
         self.name, self.receivers = self.surface.name, self.surface.receivers
         vectors = _vector_areas(self.surface.triangles)
         self.area = float(np.linalg.norm(vectors, axis=1).sum())
-        self.closed = bool(np.linalg.norm(vectors.sum(axis=0)) <= CLOSED * self.area)
+        self.balanced = bool(np.linalg.norm(vectors.sum(axis=0)) <= CLOSED * self.area)
+        self.closed = self.balanced and self._winding(vectors) >= ENCLOSED
         self.power = np.pi * self.area * self._sides * self.surface.emission
 
     @property
@@ -77,6 +83,16 @@ class MeshLight(Lamp):
     def extent(self) -> float:
         """Longest edge of its box."""
         return float(np.ptp(self.surface.triangles.reshape(-1, 3), axis=0).max())
+
+    def _winding(self, vectors: np.ndarray) -> float:
+        """Mean winding number beside the mesh, on its inner side. vectors: (T, 3), vector areas of its triangles."""
+        areas, triangles = np.linalg.norm(vectors, axis=1), self.surface.triangles
+        shares = np.cumsum(areas) / areas.sum()
+        found = np.searchsorted(shares, (np.arange(WINDING_POINTS) + 0.5) / WINDING_POINTS).clip(0, len(areas) - 1)
+        step = BESIDE * self.extent * vectors[found] / areas[found, None]
+        points = triangles[found].mean(axis=1)
+        sides = [[signed_solid_angles(triangles - point).sum() for point in points + s * step] for s in (-1.0, 1.0)]
+        return float(np.abs(np.mean(sides, axis=1)).max() / (4.0 * np.pi))
 
     @functools.cached_property
     def _triangles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -147,7 +163,7 @@ class MeshLight(Lamp):
         """As if no part of the mesh hid another."""
         apart = self.extent / max(distance_from_box(self.centre, low, high), 1e-6 * self.extent)
         count = min(1 if apart < SMALL else 4 if apart < MEDIUM_SIZE else MOST, most)
-        if self.closed and count <= FEW_PATCHES:
+        if self.balanced and count <= FEW_PATCHES:
             return self._spheres(count)
         for patches in (count, max(count // 2, 1)):
             sided = [
@@ -158,14 +174,15 @@ class MeshLight(Lamp):
             ]
             if len(sided) <= count:
                 break
+        if not sided:
+            # No patch faces the box.
+            return [SphereEmitter(self.centre, self.centre, 0.0, 0.0)]
         flat = sum(float(np.linalg.norm(vector)) for _, vector in self._patches(patches))
         radiance = 1.0 / (np.pi * flat * self._sides)
-        emitters = [QuadEmitter(patch, normal / np.linalg.norm(normal), radiance) for patch, normal in sided]
-        # No patch faces the box.
-        return emitters or [SphereEmitter(self.centre, self.centre, 0.0, 0.0)]
+        return [QuadEmitter(patch, normal / np.linalg.norm(normal), radiance) for patch, normal in sided]
 
     def _spheres(self, count: int) -> list[SphereEmitter]:
-        """At most `count` spheres that represent a closed mesh: one for a compact body, more along a ring or a tube."""
+        """At most `count` spheres that represent a balanced mesh: one for a compact body, more along a ring."""
         triangles, vectors = self._triangles
         middles, areas = triangles.mean(axis=1), np.linalg.norm(vectors, axis=1)
         groups = [np.arange(len(triangles))]

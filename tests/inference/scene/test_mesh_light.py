@@ -143,12 +143,37 @@ def test_a_mesh_around_volumes_does_not_shine_from_their_middle(surface, most):
     assert found.mean() == pytest.approx(exact.mean(), rel=0.15)
 
 
+def band(radius, height, segments=48):
+    """A tube along Z around the origin, open at both ends."""
+    around = 2.0 * np.pi * np.arange(segments + 1) / segments
+    low = np.stack([radius * np.cos(around), radius * np.sin(around), np.full(segments + 1, -0.5 * height)], axis=1)
+    high = low + (0.0, 0.0, height)
+    a, b, c, d = low[:-1], low[1:], high[1:], high[:-1]
+    return Surface(np.concatenate([np.stack(one, axis=1) for one in ((a, b, c), (a, c, d))]), "band", emission=2.0)
+
+
+def test_a_band_around_volumes_shines_inwards():
+    surface = band(1.2, 0.3)
+    light, inwards = MeshLight(surface), replace(surface, triangles=surface.triangles[:, ::-1])
+    assert not light.closed and light.power[0] == pytest.approx(4.0 * np.pi * light.area, rel=1e-6)
+    found, exact = fluence(light), summed(inwards)
+    assert np.sqrt(((found - exact) ** 2).mean()) < 0.2 * exact.mean()
+    assert found.mean() == pytest.approx(exact.mean(), rel=0.1)
+
+
 def bars(count=5):
     """Boxes behind each other, seen from the volumes."""
     corners = np.array(np.meshgrid((-0.1, 0.1), (-0.4, 0.4), (-0.4, 0.4), indexing="ij")).reshape(3, -1).T
     faces = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
     one = corners[np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])]
     return Surface(np.concatenate([one + (3.0 + 0.4 * n, 0.0, 0.0) for n in range(count)]), "bars", emission=2.0)
+
+
+@pytest.mark.parametrize("surface", [ring(), ball(np.zeros(3), 0.3), band(0.02, 2.0), bars()], ids=lambda one: one.name)
+@pytest.mark.parametrize("turned", [1, -1])
+def test_closed_meshes_and_thin_tubes_shine_outwards(surface, turned):
+    light = MeshLight(replace(surface, triangles=surface.triangles[:, ::turned]))
+    assert light.closed and light.power[0] == pytest.approx(2.0 * np.pi * light.area, rel=1e-6)
 
 
 def seen_first(surface, places):
