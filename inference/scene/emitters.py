@@ -299,14 +299,9 @@ def _solid_angle(corners: np.ndarray) -> np.ndarray:
 
 
 def solid_angles(triangles: np.ndarray) -> np.ndarray:
-    """Solid angles (N,) of triangles (N, 3, 3) seen from the origin."""
-    return np.abs(signed_solid_angles(triangles))
-
-
-def signed_solid_angles(triangles: np.ndarray) -> np.ndarray:
-    """The same, above 0 where a triangle's normal points away from the origin, after Van Oosterom (1983)."""
+    """Solid angles (N,) of triangles (N, 3, 3) seen from the origin, after Van Oosterom (1983)."""
     (a, b, c), (x, y, z) = triangles.swapaxes(0, 1), np.linalg.norm(triangles, axis=2).T
-    volume = (np.cross(a, b) * c).sum(axis=1)
+    volume = np.abs((np.cross(a, b) * c).sum(axis=1))
     dots = x * y * z + (a * b).sum(axis=1) * z + (a * c).sum(axis=1) * y + (b * c).sum(axis=1) * x
     return 2.0 * np.arctan2(volume, dots)
 
