@@ -32,7 +32,7 @@ EVALUATED, VISIBLE = 0.4, 0.75
 # Share of points at which the network is evaluated, for one depth sample and so many pixels with density. The others
 # are interpolated: more of them in larger images and at fewer depth samples.
 QUERIED, QUERIED_PIXELS, QUERIED_BY_PIXELS, QUERIED_BY_SAMPLES = 0.2, 20_000, -0.4, 0.2
-# Stages shorter than this do not calibrate the machine's speed.
+# Stages that take less, or should take less, do not calibrate the machine's speed: in small pictures most is overhead.
 SHORTEST = 0.1
 STAGES = ("march", "network", "fields")
 
@@ -91,7 +91,7 @@ def calibrate(known: Calibration, workload: Workload, report: Report, alpha: np.
     took = {stage: report.seconds.get(stage, 0.0) for stage in STAGES}
     took["fields"] += sum(report.seconds.get(stage, 0.0) for stage in ("shadows", "surfaces", "light paths"))
     for stage, seconds in took.items():
-        if seconds > SHORTEST:
+        if seconds > SHORTEST and expected[stage] > SHORTEST:
             known.rates[stage] = seconds / expected[stage]
 
 

@@ -220,6 +220,17 @@ def test_one_render_predicts_the_work_of_others(addon, scene, cloud, said):
         np.testing.assert_allclose(points * counts["suns"], counts["network points"], rtol=0.3)
 
 
+def test_small_pictures_do_not_tell_the_machines_speed(addon, scene, cloud, said):
+    """A march of 8 x 5 pixels takes a second where the machine is busy; an hour was then expected of usual ones."""
+    cost_model = addon.mrpnn_addon.status.cost_model
+    scene.render.resolution_percentage = 8
+    found, known = described(addon), cost_model.Calibration()
+    layer = render(found.volumes, found.suns, found.camera, scene.mrpnn.settings())
+    layer.report.seconds.update(march=1.0, network=1.0)
+    cost_model.calibrate(known, found.workload(1), layer.report, layer.alpha)
+    assert known.shares and not known.rates.keys() & {"march", "network"}
+
+
 def test_after_a_render_its_seconds_are_shown(addon, scene, cloud, said):
     scene.render.resolution_percentage, scene.mrpnn.depth_samples = 500, 4
     # Without the seconds in which the network is loaded.
