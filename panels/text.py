@@ -14,6 +14,8 @@ from ..mrpnn_addon.runtime.text import label, safe_text, utf8_names
 
 # Margins of panel and box, icon and label padding, in pixels at scale 1.
 MARGIN = 72
+# Units that stay beside their numbers.
+UNITS = "s|min|h|GiB"
 
 
 Draw = Callable[[Any, "bpy.types.Context"], None]
@@ -47,10 +49,10 @@ def draw_text(context: "bpy.types.Context", layout: "bpy.types.UILayout", text: 
 def wrapped(text: str, width: float, measure: Callable[[str], float]) -> list:
     """The words of a text in lines that are no wider than `width` by `measure`; wider words are split.
 
-    A number and its percent sign are one word.
+    A number and its unit are one word.
     """
     lines = [""]
-    for word in re.split(r"\s+(?!%)", text.strip()):
+    for word in re.split(rf"\s+(?!%|(?<=\d\s)(?:{UNITS})\b)", text.strip()):
         longer = f"{lines[-1]} {word}".lstrip()
         if measure(longer) <= width:
             lines[-1] = longer

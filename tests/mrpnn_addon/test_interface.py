@@ -282,7 +282,7 @@ def test_fifty_switches_of_engine_and_file_leave_nothing_behind(addon, scene, cl
     assert said == ""
 
 
-def test_lines_of_a_panel_keep_numbers_and_their_percent_signs_together(addon):
+def test_lines_of_a_panel_keep_numbers_and_their_units_together(addon):
     from mrpnn.panels.text import wrapped
 
     text = "Expected error: 1.6 % (1.1\u20132.5 %), mostly in the lower part"
@@ -291,3 +291,6 @@ def test_lines_of_a_panel_keep_numbers_and_their_percent_signs_together(addon):
         assert max(map(len, lines)) <= width
         assert " ".join(lines) == text
         assert not any(line.startswith("%") for line in lines)
+    for unit in ("s", "min", "h", "GiB", "%"):
+        assert wrapped(f"Baking all light takes roughly 12 {unit}", 31, len)[-1] == f"12 {unit}"
+    assert wrapped("a part of 12 shown", 12, len) == ["a part of 12", "shown"]
