@@ -185,8 +185,7 @@ def _tiles(
 
     def shade(window: Window) -> Tile:
         tile = Tile.of(camera, window, shown)
-        groups = scene.groups_in(window)
-        samples = march_tile(context, scene, channel_pass.through(groups), tile) if groups else None
+        samples = march_tile(context, scene, channel_pass, tile)
         if samples is not None:
             estimates = add_scattered_light(context, sources, tile, samples, outputs.moments)
             if scene.eyes is not None:
@@ -198,8 +197,8 @@ def _tiles(
 
     # Those that show most first, so that no thread waits long for the last one.
     (left, top, *_), tasks = camera.window, context.tasks
-    pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.tiles]
-    windows = [scene.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
+    pixels = [shown[y0 - top : y1 - top, x0 - left : x1 - left].sum() for x0, y0, x1, y1 in scene.plan.tiles]
+    windows = [scene.plan.tiles[n] for n in np.argsort(pixels, kind="stable")[::-1]]
     # The light of environments is corrected by light paths.
     sources = prepare_sources(context, scene, channel_pass)
     sources = correct_environments(context, scene, channel_pass, sources)

@@ -8,6 +8,7 @@ import numpy as np
 from ..blur.sharpness import NEVER, Spreads
 from ..grids.bound_medium import Movement
 from ..marching.depth_samples import DepthSamples
+from ..marching.held_volumes import held_volumes, in_columns
 from ..marching.ray_features import RayFeatures
 from ..marching.ray_march import RaySegment
 from ..marching.ray_steps import RayBatch
@@ -79,7 +80,13 @@ def march_tile(
     rays that would take too many steps.
     """
     with tile.report.stage("march"):
-        return _march(context, scene, channel_pass, tile)
+        tile.report.count("rays that miss every volume", len(tile.framebuffer.alpha) - len(tile.shown))
+        parts = (
+            _march(context, scene, channel_pass.through(groups), tile.part(window))
+            for window, groups in scene.parts(tile.camera.window)
+        )
+        marched = [part for part in parts if part is not None]
+        return DepthSamples.joined(marched) if marched else None
 
 
 def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPass, tile: Tile) -> DepthSamples | None:
@@ -124,6 +131,8 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         if segment.sample_scattering is not None:
             scattering.append(segment.sample_scattering)
     ray, distance, weight, fraction = (np.concatenate(column) for column in zip(*parts))
+    held, columns = held_volumes(fraction > 0.0, channel_pass.volumes)
+    held_groups, of_groups = held_volumes(*scene.groups_holding(fraction > 0.0, channel_pass.volumes))
     samples = DepthSamples(
         pixel=rays.pixel,
         origins=rays.batch.origins,
@@ -132,13 +141,14 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
         ray=ray,
         distance=distance,
         weight=weight,
-        fraction=fraction,
-        features=RayFeatures(np.concatenate(features)) if features else None,
-        lamp_features=RayFeatures(np.concatenate(of_lamps)) if of_lamps else None,
-        scattering=np.concatenate(scattering) if scattering else None,
+        held=held,
+        fraction=in_columns(fraction, columns),
+        held_groups=held_groups,
+        features=RayFeatures(in_columns(np.concatenate(features), of_groups)) if features else None,
+        lamp_features=RayFeatures(in_columns(np.concatenate(of_lamps), of_groups)) if of_lamps else None,
+        scattering=in_columns(np.concatenate(scattering), columns) if scattering else None,
         detail=rays.batch.detail,
-        volumes=None if channel_pass.whole is None else channel_pass.volumes,
-        groups=None if channel_pass.whole is None else channel_pass.groups,
+        volumes=frozenset(channel_pass.volumes),
         rays=rays.rays,
         eyes=rays.batch.eyes,
         motion=scene.motion,
@@ -150,9 +160,8 @@ def _march(context: RenderContext, scene: PreparedScene, channel_pass: ChannelPa
 
 def _hold_out(framebuffer: Framebuffer, channel_pass: ChannelPass, samples: DepthSamples) -> None:
     """Take the opacity of holdouts from the tile."""
-    held = channel_pass.holdouts
-    if held.any() and len(samples.ray):
-        taken = samples.weight * samples.fraction[:, held].sum(axis=1) * len(channel_pass.channels.indices) / 3.0
+    if channel_pass.holdouts and len(samples.ray):
+        taken = samples.weight * samples.share(channel_pass.holdouts) * len(channel_pass.channels.indices) / 3.0
         add_at(framebuffer.alpha, samples.pixel[samples.ray], -taken)
         add_at(framebuffer.depth, samples.pixel[samples.ray], -taken * samples.distance)
         for image in (framebuffer.alpha, framebuffer.depth):
@@ -359,7 +368,6 @@ def tile_rays(context: RenderContext, scene: PreparedScene, channel_pass: Channe
     """The camera rays that may meet a volume, or None if there are none."""
     report, pixel = tile.report, tile.shown
     report.count("camera rays", len(pixel))
-    report.count("rays that miss every volume", len(tile.framebuffer.alpha) - len(pixel))
     if not len(pixel):
         return None
     x0, y0, x1, _ = tile.camera.window

@@ -144,22 +144,25 @@ class PreparedScene:
             numbers[members] = g
         return numbers
 
-    def groups_in(self, window: Window) -> list[int]:
-        """Groups of volumes that matter to rays of a part of the image."""
+    def parts(self, window: Window) -> list[tuple[Window, list[int]]]:
+        """A window of the image in parts that show few volumes each, with the groups that matter to rays of each part;
+        without those to which none does."""
         if len(self.plan.groups) == 1 or "missed_pixels" not in self.plan.optimizations:
-            return list(range(len(self.plan.groups)))
-        return np.unique(self._group_of[self._seen(window)]).tolist()
+            return [(window, list(range(len(self.plan.groups))))]
+        parts = [(part, np.unique(self._group_of[self._seen(part)]).tolist()) for part in self._seen.cut(window)]
+        return [(part, groups) for part, groups in parts if groups]
 
-    def cut(self, windows: Sequence[Window]) -> list[Window]:
-        """Windows of the image in parts, each of which shows few volumes."""
-        if len(self.plan.groups) == 1 or "missed_pixels" not in self.plan.optimizations:
-            return list(windows)
-        return [part for window in windows for part in self._seen.cut(window)]
+    def groups_holding(self, inside: np.ndarray, volumes: Sequence[int]) -> tuple[np.ndarray, list[int]]:
+        """What groups of volumes M samples are in, bool (M, G), and the groups' numbers, ascending.
 
-    @functools.cached_property
-    def tiles(self) -> list[Window]:
-        """Windows of the image, each of which one thread renders."""
-        return self.cut(self.plan.tiles)
+        inside: bool (M, V), the same of the volumes, by number.
+        """
+        of_volume = self._group_of[volumes]
+        numbers = np.unique(of_volume)
+        if len(numbers) == len(volumes):
+            order = np.argsort(of_volume)
+            return inside if (order[:-1] < order[1:]).all() else inside[:, order], numbers.tolist()
+        return np.stack([inside[:, of_volume == g].any(axis=1) for g in numbers], axis=1), numbers.tolist()
 
     def alike(self, channels: Channels) -> list[list[int]]:
         """Groups in which multiple scattering is predicted, those together that differ in where they lie alone."""
@@ -230,9 +233,9 @@ class ChannelPass:
         return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes, whole=self)
 
     @property
-    def holdouts(self) -> np.ndarray:
-        """bool (V,): which of the media are holdouts."""
-        return np.array([bound.medium.holdout for bound in self.media], bool)
+    def holdouts(self) -> list[int]:
+        """Numbers of the volumes that are holdouts."""
+        return [v for v, bound in zip(self.volumes, self.media) if bound.medium.holdout]
 
     def step_counts(self, rays: RayBatch) -> np.ndarray:
         """As the function of that name."""
@@ -266,6 +269,15 @@ class Tile:
         pixels = np.flatnonzero(shown[y0 - top : y1 - top, x0 - left : x1 - left])
         framebuffer = Framebuffer.black((y1 - y0) * (x1 - x0))
         return cls(replace(camera, region=window), framebuffer, Report.of_thread(), pixels)
+
+    def part(self, window: Window) -> "Tile":
+        """The same tile, of which the pixels of a window alone are shown."""
+        (left, top, right, _), (x0, y0, x1, y1) = self.camera.window, window
+        if window == self.camera.window:
+            return self
+        rows, columns = np.divmod(self.shown, right - left)
+        within = (columns >= x0 - left) & (columns < x1 - left) & (rows >= y0 - top) & (rows < y1 - top)
+        return replace(self, shown=self.shown[within])
 
     def unreported(self) -> "Tile":
         """The same tile with a report of its own, for work on it that is not counted."""

@@ -15,7 +15,7 @@ import numpy as np
 from ..environments.environment_light import ROWS, Skies
 from ..grids.working_cube import Cube
 from ..marching.light_paths import GIVEN_UP, MISSED, PathTracer, ScatteringMedia
-from ..marching.ray_steps import Boxes, RayBatch
+from ..marching.ray_steps import RayBatch
 from ..scene.camera import Camera
 from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
@@ -167,9 +167,8 @@ def _meeting_rays(context: RenderContext, scene: PreparedScene, channel_pass: Ch
         near, far = np.full((2, len(origins)), [[np.inf], [-np.inf]])
         coarse = replace(scene, camera=camera, eyes=None)
         pixels = np.arange(len(origins)).reshape(camera.resolution[::-1])
-        for x0, y0, x1, y1 in coarse.cut([camera.window]):
-            groups, some = coarse.groups_in((x0, y0, x1, y1)), pixels[y0:y1, x0:x1].ravel()
-            boxes = channel_pass.through(groups).march.boxes if groups else Boxes.of(())
+        for (x0, y0, x1, y1), groups in coarse.parts(camera.window):
+            some, boxes = pixels[y0:y1, x0:x1].ravel(), channel_pass.through(groups).march.boxes
             near[some], far[some] = boxes.intervals(origins[some], directions[some], [ends[some] for ends in clip])
         meet = np.flatnonzero(near < far)
         if len(meet) >= count or edge >= min(longest, MOST_EDGE):
@@ -192,36 +191,33 @@ def _predicted(
 ) -> tuple[_Rays, np.ndarray, np.ndarray]:
     """At most so many of the rays, the light (C, R) that is predicted of them without surfaces, and opacities (R,)."""
     width, height = rays.camera.resolution
-    shown = np.zeros(width * height, bool)
-    shown[rays.pixels] = True
-    coarse, parts = replace(scene, depth_buffer=None, camera=rays.camera, eyes=None), []
+    shown = np.zeros((height, width), bool)
+    shown.flat[rays.pixels] = True
+    coarse, tile = (
+        replace(scene, depth_buffer=None, camera=rays.camera, eyes=None),
+        Tile.of(rays.camera, rays.camera.window, shown),
+    )
     light, opacity = np.zeros((len(channel_pass.channels.indices), width * height)), np.zeros(width * height)
-    for window in coarse.cut([rays.camera.window]):
-        tile, groups = Tile.of(rays.camera, window, shown.reshape(height, width)), coarse.groups_in(window)
-        marched = march_tile(context, coarse, channel_pass.through(groups), tile) if groups else None
-        if marched is not None:
-            samples = marched.nodes
-            row, column = np.divmod(samples.pixel[samples.ray], window[2] - window[0])
-            # Of the whole image.
-            pixel = (row + window[1]) * width + column + window[0]
-            np.add.at(opacity, pixel, samples.weight)
-            parts.append((tile, samples, pixel))
+    marched = march_tile(context, coarse, channel_pass, tile)
+    if marched is None:
+        return rays.take(rays.pixels[:0]), light[:, :0], opacity[:0]
+    samples = marched.nodes
+    pixel = samples.pixel[samples.ray]
+    np.add.at(opacity, pixel, samples.weight)
     lit = np.flatnonzero(opacity[rays.pixels] > MIN_ALPHA)
     rays = rays.take(_spread(lit, count))
-    for tile, samples, pixel in parts:
-        (x0, y0, x1, y1), wanted = tile.camera.window, np.isin(pixel, rays.pixels)
-        within = light.reshape(-1, height, width)[:, y0:y1, x0:x1]
-        for source in (source.within(samples.volumes) for source in sources):
-            if not source.members:
-                continue
-            some = np.flatnonzero(wanted & (samples.share(source.members) > 0.0))
-            if not len(some):
-                continue
-            estimate = TileEstimate(context, samples, tile, source)
-            estimate.evaluate(some)
-            for row, radiance in zip(source.rows, estimate.radiance):
-                for c in row.channels:
-                    within[channel_pass.channels.indices.index(c)] += radiance.reshape(y1 - y0, x1 - x0)
+    wanted = np.isin(pixel, rays.pixels)
+    for source in (source.within(samples.volumes) for source in sources):
+        if not source.members:
+            continue
+        some = np.flatnonzero(wanted & (samples.share(source.members) > 0.0))
+        if not len(some):
+            continue
+        estimate = TileEstimate(context, samples, tile, source)
+        estimate.evaluate(some)
+        for row, radiance in zip(source.rows, estimate.radiance):
+            for c in row.channels:
+                light[channel_pass.channels.indices.index(c)] += radiance
     return rays, light[:, rays.pixels], opacity[rays.pixels]
 
 

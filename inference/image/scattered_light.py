@@ -92,10 +92,7 @@ class TileEstimate:
         self._turns: list[np.ndarray | None] = [None]
         if source.frames is not None:
             self._turns = [*samples.turns(source.members)]
-            self._members, self._places = (
-                np.array(source.members),
-                np.array(list(map(samples.place_of_group, source.groups))),
-            )
+            self._members, self._groups = np.array(source.members), np.array(source.groups)
         # Samples whose error is to be told: numbers and what was predicted, (A, N, ...), by turn.
         self._told: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self._turns]
         self._depths: np.ndarray | None = None
@@ -159,7 +156,7 @@ class TileEstimate:
 
     def _asked(self, points: np.ndarray | slice, turn: np.ndarray | None) -> LitPoints:
         """Some samples, as an estimator is asked at them."""
-        samples, place, numbers = self.samples, self.samples.place_of_group(self.source.groups[0]), points
+        samples, numbers, groups = self.samples, points, np.array(self.source.groups[0])
         member = self.source.members[0] if turn is None else self._members[np.maximum(turn[points], 0)]
         positions, directions = samples.seen(points, member)
         if turn is not None:
@@ -167,14 +164,14 @@ class TileEstimate:
             numbers = np.arange(len(turn))[points]
             # Where no group is, anything is told.
             group = np.maximum(turn[points], 0)
-            frame, place = self.source.frames[group], self._places[group]
+            frame, groups = self.source.frames[group], self._groups[group]
             positions = frame[:, :1] * positions + frame[:, 1:]
         return LitPoints(
             positions=positions,
             directions=directions,
             jitter=None if isinstance(points, slice) else samples.jitter(points),
             numbers=numbers,
-            group=place,
+            group=samples.column_of_group(points, groups),
             suns=samples.features,
             lamps=samples.lamp_features,
             depths=self._depths,

@@ -2,7 +2,7 @@
 """Estimators of each group of volumes in each light, ready before tiles are rendered, and what their light becomes."""
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -107,11 +107,11 @@ class Source:
         ]
         return replace(self, rows=rows)
 
-    def within(self, volumes: Sequence[int] | None) -> "Source":
-        """What of several groups lies in some volumes, by number; itself for all of them."""
-        if volumes is None or self.frames is None:
+    def within(self, volumes: Collection[int]) -> "Source":
+        """What of several groups lies in some volumes, by number."""
+        if self.frames is None:
             return self
-        here = np.flatnonzero(np.isin(self.members, volumes))
+        here = np.flatnonzero(np.isin(self.members, list(volumes)))
         rows = [replace(row, albedo=row.albedo[here], scattered=row.scattered[here]) for row in self.rows]
         groups, members = ([numbers[n] for n in here] for numbers in (self.groups, self.members))
         return replace(self, groups=groups, members=members, rows=rows, frames=self.frames[here])

@@ -38,12 +38,13 @@ class WorkEstimate:
         if self._expected or not self._context.progress.wanted:
             return
         jobs, rays = self._jobs / self._passes, 1 if self._scene.eyes is None else self._scene.eyes.rays
-        for window in self._scene.tiles:
-            tile, groups = replace(self._scene.camera, region=window), self._scene.groups_in(window)
-            if not groups:
-                continue
-            steps, samples = estimate_march(self._context, channel_pass.through(groups), tile, rays)
-            self._expected[window] = np.array([steps, samples * jobs])
+        for window in self._scene.plan.tiles:
+            expected = np.zeros(2)
+            for part, groups in self._scene.parts(window):
+                camera = replace(self._scene.camera, region=part)
+                steps, samples = estimate_march(self._context, channel_pass.through(groups), camera, rays)
+                expected += [steps, samples * jobs]
+            self._expected[window] = expected
         self._all = sum(self._expected.values()) * self._passes
         self._context.progress.expect("march", self._all[0])
         self._context.progress.expect("network", EVALUATED_SHARE * self._all[1])

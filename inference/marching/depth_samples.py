@@ -17,6 +17,7 @@ import numpy as np
 from ..grids.bound_medium import Movement
 from ..numerics.quadrature import legendre_integrals, legendre_nodes
 from ..numerics.small_matmul import product
+from .held_volumes import places_among, side_by_side
 from .ray_features import RayFeatures
 
 # Rays below this opacity are not sampled.
@@ -66,12 +67,13 @@ class DepthSamples:
     """Depth samples along camera rays, ray after ray.
 
     pixel: int (P,), of each ray, ascending. origins, directions: float64 (P, 3). offsets: (P,) in [0, 1), jitter of
-    each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). fraction: float32 (M, V), of the extinction
-    in each volume. features: for networks that need them, or None. lamp_features: the same of lamps.
-    scattering: float32 (M, V, S), `sample_scattering` of RaySegment, or None. detail: int (P,), as of RayBatch, or
-    None. volumes, groups: numbers, ascending, of those that rays were marched through; None for all of them. Other
-    volumes are not met. rays: through each whole pixel. eyes: int (P,), as of RayBatch, or None. motion: as of
-    BoundMedium, of all volumes.
+    each ray's lookups. ray: int32 (M,), ascending. distance, weight: (M,). held: int32 (M, K), numbers of the volumes
+    that each sample is in, as of `held_volumes`. fraction: float32 (M, K), of the extinction in each of these.
+    held_groups: int32 (M, J), the same of groups of volumes. features: of these, for networks that need them, or None.
+    lamp_features: the same of lamps. scattering: float32 (M, K, S), `sample_scattering` of RaySegment, or None. detail:
+    int (P,), as of RayBatch, or None. volumes: numbers of those that rays were marched through. Other volumes are not
+    met. rays: through each whole pixel. eyes: int (P,), as of RayBatch, or None. motion: as of BoundMedium, of all
+    volumes.
     """
 
     pixel: np.ndarray
@@ -81,16 +83,70 @@ class DepthSamples:
     ray: np.ndarray
     distance: np.ndarray
     weight: np.ndarray
+    held: np.ndarray
     fraction: np.ndarray
+    held_groups: np.ndarray
     features: RayFeatures | None = None
     lamp_features: RayFeatures | None = None
     scattering: np.ndarray | None = None
     detail: np.ndarray | None = None
-    volumes: Sequence[int] | None = None
-    groups: Sequence[int] | None = None
+    volumes: frozenset[int] = frozenset((0,))
     rays: int = 1
     eyes: np.ndarray | None = None
     motion: Sequence[Movement | None] = ()
+
+    @classmethod
+    def joined(cls, parts: Sequence["DepthSamples"]) -> "DepthSamples":
+        """Those along rays through different pixels, in the order of these."""
+        if len(parts) == 1:
+            return parts[0]
+        pixel = np.concatenate([part.pixel for part in parts])
+        rays = np.argsort(pixel, kind="stable")
+        new = np.empty(len(rays), np.int32)
+        new[rays] = np.arange(len(rays))
+        first = np.cumsum([0, *(len(part.pixel) for part in parts)])
+        ray = np.concatenate([new[start + part.ray] for start, part in zip(first, parts)])
+        order = np.argsort(ray, kind="stable")
+        # Where the albedo of one part alone varies, the others scatter in proportion to their extinction.
+        varying = next((part.scattering for part in parts if part.scattering is not None), None)
+        scattering = None
+        if varying is not None:
+            scattering = side_by_side(
+                [
+                    np.repeat(part.fraction[..., None], varying.shape[2], axis=2)
+                    if part.scattering is None
+                    else part.scattering
+                    for part in parts
+                ]
+            )[order]
+
+        def of_rays(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
+            return None if arrays[0] is None else np.concatenate([array for array in arrays if array is not None])[rays]
+
+        def of_samples(features: Sequence[RayFeatures | None]) -> RayFeatures | None:
+            known = [each.values for each in features if each is not None]
+            return RayFeatures(side_by_side(known)[order]) if known else None
+
+        return cls(
+            pixel=pixel[rays],
+            origins=np.concatenate([part.origins for part in parts])[rays],
+            directions=np.concatenate([part.directions for part in parts])[rays],
+            offsets=np.concatenate([part.offsets for part in parts])[rays],
+            ray=ray[order],
+            distance=np.concatenate([part.distance for part in parts])[order],
+            weight=np.concatenate([part.weight for part in parts])[order],
+            held=side_by_side([part.held for part in parts], -1)[order],
+            fraction=side_by_side([part.fraction for part in parts])[order],
+            held_groups=side_by_side([part.held_groups for part in parts], -1)[order],
+            features=of_samples([part.features for part in parts]),
+            lamp_features=of_samples([part.lamp_features for part in parts]),
+            scattering=scattering,
+            detail=of_rays([part.detail for part in parts]),
+            volumes=frozenset().union(*(part.volumes for part in parts)),
+            rays=parts[0].rays,
+            eyes=of_rays([part.eyes for part in parts]),
+            motion=parts[0].motion,
+        )
 
     def __post_init__(self) -> None:
         starts = np.flatnonzero(np.diff(self.ray, prepend=-1))
@@ -119,12 +175,13 @@ class DepthSamples:
             ray=self.ray[at_nodes],
             distance=self.distance[at_nodes],
             weight=self.weight[at_nodes] * detail,
+            held=self.held[at_nodes],
             fraction=self.fraction[at_nodes],
+            held_groups=self.held_groups[at_nodes],
             features=None if self.features is None else RayFeatures(self.features.values[at_nodes]),
             lamp_features=None if self.lamp_features is None else RayFeatures(self.lamp_features.values[at_nodes]),
             scattering=None if self.scattering is None else self.scattering[at_nodes],
             volumes=self.volumes,
-            groups=self.groups,
             rays=self.rays,
             eyes=self.eyes,
             motion=self.motion,
@@ -173,37 +230,40 @@ class DepthSamples:
         """Fraction float32 (M,) of the extinction at each sample that the member volumes have."""
         if not self.meets(members):
             return np.zeros(len(self.fraction), np.float32)
-        members = self._places(members)
+        fraction = self.fraction * (places_among(members, self.held) >= 0)
         # numpy is slow to sum along an axis of length 1.
-        return self.fraction[:, members[0]] if len(members) == 1 else self.fraction[:, members].sum(axis=1)
+        return fraction[:, 0] if fraction.shape[1] == 1 else fraction.sum(axis=1)
 
     def meets(self, members: Sequence[int]) -> bool:
-        """Whether rays were marched through volumes of a group."""
-        return self.volumes is None or members[0] in self.volumes
-
-    def _places(self, members: Sequence[int]) -> Sequence[int]:
-        return members if self.volumes is None else [self.volumes.index(v) for v in members]
+        """Whether rays were marched through any of some volumes."""
+        return not self.volumes.isdisjoint(members)
 
     def turns(self, members: Sequence[int]) -> list[np.ndarray]:
         """Of each sample one of some volumes that hold it, int (M,), by place in `members` or -1; in as many arrays as
         it takes for all that do."""
-        within = np.cumsum(self.fraction[:, self._places(members)] > 0.0, axis=1)
-        most = int(within.max(initial=0))
-        return [np.where(within[:, -1] >= n, (within >= n).argmax(axis=1), -1) for n in range(1, most + 1)]
+        places = places_among(members, self.held)
+        within = np.cumsum((places >= 0) & (self.fraction > 0.0), axis=1)
+        every, most = np.arange(len(places)), int(within.max(initial=0))
+        return [
+            np.where(within[:, -1] >= n, places[every, (within >= n).argmax(axis=1)], -1) for n in range(1, most + 1)
+        ]
 
     def scattered_by(
         self, samples: np.ndarray, members: np.ndarray, factors: np.ndarray, columns: Sequence[int]
     ) -> np.ndarray:
         """As `scattered`, by one volume, int (N,), at each sample; factors: float32 (N, C)."""
-        places = members if self.volumes is None else np.searchsorted(self.volumes, members)
+        column = (self.held[samples] == members[:, None]).argmax(axis=1)
         weight = self.weight[samples, None] * factors
         if self.scattering is None:
-            return weight * self.fraction[samples, places, None]
-        return weight * self.scattering[samples, places][:, columns]
+            return weight * self.fraction[samples, column, None]
+        return weight * self.scattering[samples, column][:, columns]
 
-    def place_of_group(self, group: int) -> int:
-        """Place of a group in the ray features."""
-        return group if self.groups is None else self.groups.index(group)
+    def column_of_group(self, samples: np.ndarray | slice, groups: int | np.ndarray) -> int | np.ndarray:
+        """Column of a group, or of one (N,) for each of some samples, in the ray features; any where these are not in
+        it."""
+        if self.held_groups.shape[1] == 1:
+            return 0
+        return (self.held_groups[samples] == np.reshape(groups, (-1, 1))).argmax(axis=1)
 
     def scattered(
         self, samples: np.ndarray | slice, members: Sequence[int], factors: np.ndarray, columns: Sequence[int]
@@ -212,13 +272,14 @@ class DepthSamples:
 
         factors: float32 (V, C) of each member. columns: index of each channel in `scattering`.
         """
-        weight, members = self.weight[samples, None], self._places(members)
-        if self.scattering is None and len(members) == 1:
-            return weight * self.fraction[samples, members[0], None] * factors
-        if self.scattering is None:
-            return weight * product(self.fraction[samples][:, members], factors)
-        scattering = self.scattering[samples][:, members][:, :, columns]
-        return weight * np.einsum("nvc,vc->nc", scattering, factors)
+        # Of each sample's volumes; others scatter nothing.
+        own = np.vstack([factors, np.zeros_like(factors[:1])])[places_among(members, self.held[samples])]
+        if self.scattering is not None:
+            scattered = self.scattering[samples][:, :, columns] * own
+        else:
+            scattered = self.fraction[samples][..., None] * own
+        scattered = scattered[:, 0] if scattered.shape[1] == 1 else scattered.sum(axis=1)
+        return self.weight[samples, None] * scattered
 
     def jitter(self, samples: np.ndarray) -> np.ndarray:
         """Jitter (N, 3) in [-1/2, 1/2) of the samples' lookups: a rank-1 lattice along each ray, shifted by pixel."""

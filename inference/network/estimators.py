@@ -30,9 +30,9 @@ class LitPoints:
     """N points of rays at which light is asked for, and what was gathered along these.
 
     positions, directions: float64 (N, 3), in the world; unit vectors along the rays. jitter: as in RayPoints.
-    numbers: int (N,) or a slice, of the points in the arrays that follow; None for all of them. group: of the
-    volumes, by number in `suns` and `lamps`, or int (N,) of each point: RayFeatures in the light of each sun and
-    each lamp that rays were marched for; None where none was gathered. depths: float32 (M, 2), optical depths ahead
+    numbers: int (N,) or a slice, of the points in the arrays that follow; None for all of them. group: column of the
+    volumes in `suns` and `lamps`, or int (N,) of each point: RayFeatures in the light of each sun and each lamp that
+    rays were marched for; None where none was gathered. depths: float32 (M, 2), optical depths ahead
     of the points and behind them, or None. image: where rays of a camera are in its image, (N,) each from the left
     and from above, in pixels; None for other rays.
     """

@@ -127,19 +127,16 @@ class PassOutputs:
     def _coverage(self, tile: Tile, samples: DepthSamples) -> Coverage:
         """By each volume, of the pixels of the camera's window."""
         (left, top, right, _), (x0, y0, x1, _) = self._outputs.camera.window, tile.camera.window
-        count = samples.fraction.shape[1]
-        pixel = samples.pixel[samples.ray]
-        parts = samples.weight[:, None] * samples.fraction * self._weight
-        held = np.array([medium.holdout for _, medium in self._scene.plan.volumes])
-        flat = (pixel[:, None] * count + np.arange(count)).ravel()
-        pixels, of = np.unique(flat, return_inverse=True)
-        share = np.bincount(of.reshape(-1), parts.ravel(), len(pixels))
-        volumes = np.arange(count) if samples.volumes is None else np.asarray(samples.volumes)
-        shown = (share > 0.0) & ~held[volumes[pixels % count]]
-        pixels, share = pixels[shown], share[shown]
-        row, column = np.divmod(pixels // count, x1 - x0)
+        holdout = np.array([medium.holdout for _, medium in self._scene.plan.volumes])
+        sample, slot = np.nonzero(samples.fraction > 0.0)
+        volume = samples.held[sample, slot].astype(np.int64)
+        flat, of = np.unique(samples.pixel[samples.ray[sample]] * len(holdout) + volume, return_inverse=True)
+        share = np.bincount(of.reshape(-1), samples.weight[sample] * samples.fraction[sample, slot], len(flat))
+        pixels, volumes = np.divmod(flat, len(holdout))
+        shown = ~holdout[volumes]
+        row, column = np.divmod(pixels[shown], x1 - x0)
         place = (row + y0 - top) * (right - left) + column + x0 - left
-        return Coverage(place, volumes[pixels % count], share.astype(np.float32))
+        return Coverage(place, volumes[shown], (share[shown] * self._weight).astype(np.float32))
 
     def _add_medians(self, tile: Tile, image: np.ndarray) -> None:
         """Add the distance at which each ray has half its opacity, times the opacity of the layer."""

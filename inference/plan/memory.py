@@ -34,8 +34,8 @@ VOXEL_ALBEDO_BYTES = 8
 SLAB_BYTES, CELLS_BYTES = 3 * 4 * 512, 3 * 8
 # Bytes per pixel of the framebuffer, per camera ray of a tile, and per depth sample of such a ray.
 IMAGE_BYTES, RAY_BYTES, SAMPLE_BYTES = 76, 200, 50
-# Bytes per depth sample, volume and sun: the ray features (`marching.ray_features.COLUMNS`), twice.
-RAY_FEATURE_BYTES = 2 * 4 * 7
+# Bytes per depth sample and sun: the ray features (`marching.ray_features.COLUMNS`), twice; and per volume around it.
+RAY_FEATURE_BYTES, HELD_BYTES = 2 * 4 * 7, 2 * 8
 
 
 def grids_bytes(volumes: Sequence[tuple[Volume, bool]], suns: Sequence[Sun], coarser: Sequence[int]) -> int:
@@ -99,6 +99,6 @@ def lamp_bytes(volume: Volume, lamps: list[Lamp]) -> int:
     return len(lamps) * 4 * 4 * edge**3
 
 
-def ray_bytes(depth_samples: int, volumes: int, suns: int) -> int:
-    """Bytes of a camera ray while it is rendered."""
-    return RAY_BYTES + (SAMPLE_BYTES + RAY_FEATURE_BYTES * volumes * suns) * depth_samples
+def ray_bytes(depth_samples: int, overlapping: int, suns: int) -> int:
+    """Bytes of a camera ray while it is rendered; overlapping: volumes that it is in at once, at most."""
+    return RAY_BYTES + (SAMPLE_BYTES + HELD_BYTES * overlapping + RAY_FEATURE_BYTES * suns) * depth_samples

@@ -354,7 +354,8 @@ def plan_tiles(
     memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
     memory += len(scene.groups) * len(suns) * abilities(settings.model).light_bytes
     depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)
-    ray = ray_bytes(depth_samples, len(rendered), len(suns) + len(lights.lamps))
+    overlapping = max(map(len, scene.groups), default=1)
+    ray = ray_bytes(depth_samples, overlapping, len(suns) + len(lights.lamps))
     x0, y0, x1, y1 = camera.window
     memory += (x1 - x0) * (y1 - y0) * IMAGE_BYTES
     threads, needed = settings.threads or os.cpu_count() or 1, memory

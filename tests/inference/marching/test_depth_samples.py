@@ -38,8 +38,9 @@ def test_the_estimated_error_is_zero_for_a_line_and_that_of_noise_for_noise():
     ray, opacity, weight = sample_opacities(np.ones(rays), most)
     nothing = np.zeros((rays, 3))
     pixel = np.arange(rays)
+    one = np.zeros((len(ray), 1), np.int32)
     samples = DepthSamples(
-        pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, fraction=np.ones((len(ray), 1))
+        pixel, nothing, nothing, nothing[:, 0], ray, opacity, weight, held=one, fraction=one + 1.0, held_groups=one
     )
     pixels, straight = samples.standard_error(weight * (1.0 + 2.0 * opacity), np.arange(len(weight)))
     np.testing.assert_array_equal(pixels, np.arange(rays))
@@ -71,8 +72,8 @@ def test_samples_at_nodes_are_those_of_rays_without_detail():
 
     def samples(detail):
         ray, opacity, weight = sample_opacities(alpha, 6, detail=detail)
-        share = np.ones((len(ray), 1))
-        return DepthSamples(pixel, nothing, nothing, alpha, ray, opacity, weight, share, detail=detail)
+        one = np.zeros((len(ray), 1), np.int32)
+        return DepthSamples(pixel, nothing, nothing, alpha, ray, opacity, weight, one, one + 1.0, one, detail=detail)
 
     some, expected = samples(detail), samples(None)
     assert len(some.ray) > 3 * len(expected.ray)
