@@ -35,6 +35,7 @@ X86_VARIANTS = {"baseline": "x86_64", "avx2": "x86_64_v3", "avx512": "x86_64_v4"
 # Files that are compiled once for each kind of processor.
 VARYING = (
     "ahead.c",
+    "boxes.c",
     "columns.c",
     "flow.c",
     "gather.c",

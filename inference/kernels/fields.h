@@ -404,6 +404,19 @@ typedef struct {
     float *joined;               /* (rows, columns, values) */
 } PixelJoin;
 
+/* Rays that may meet boxes: Boxes.crossed. */
+typedef struct {
+    int64_t rays, boxes;
+    const double *origins, *directions;         /* (rays, 3) */
+    const double *near_distance, *far_distance; /* (rays), what is looked at of each */
+    const double *linear, *offset;              /* (boxes, 3, 3) and (boxes, 3), of indices from world positions */
+    const double *low, *high;                   /* (boxes, 3), indices */
+    const double *steps;                        /* (boxes), per unit of the indices */
+    double least;                               /* units that each ray crosses at least */
+    double *enter, *leave;                      /* (rays), of all boxes; infinite and in the wrong order on a miss */
+    double *counts;                             /* (rays), steps for the box that needs the most */
+} BoxCrossings;
+
 /* Functions of the library that take one structure, which X is told with its type. */
 #define MRPNN_FUNCTIONS(X) \
     X(sweep_columns, const ColumnSweep) \
@@ -431,6 +444,7 @@ typedef struct {
     X(scatter_nearby, const NearbyLight) \
     X(gather_light, const LightGather) \
     X(join_pixels, const PixelJoin) \
+    X(cross_boxes, const BoxCrossings) \
     X(multiply, const MatrixProduct)
 
 #endif

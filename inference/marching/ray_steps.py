@@ -7,15 +7,14 @@ are cut into smaller blocks. Positions on a ray are in coarse steps. The steps o
 that an image does not depend on which rays are marched together.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..grids.bound_medium import BoundMedium, Movement
 from ..grids.occupancy import REACH
-from ..numerics.intersection import box_interval
-from ..numerics.small_matmul import lengths, product
+from ..kernels.library import call
 
 # Minimal number of coarse steps along the longest edge of a grid; there is one per voxel at least.
 STEPS_PER_EDGE = 128
@@ -31,8 +30,8 @@ LEVELS, MOST_PARTS = 7, 8
 SAMPLES = 2
 # Rays that graze a corner get as many steps as if they crossed this many voxels.
 MIN_VOXELS = 32
-# Rays times media whose crossings are found at a time.
-CROSSINGS = 1 << 17
+# Rays times media whose crossings are found at a time, and steps above which nobody counts.
+CROSSINGS, MANY = 1 << 20, 2.0**60
 # Steps per block: neither end of a block lies further from its middle than the reach of the occupancy.
 STEPS = 2 * REACH
 
@@ -101,26 +100,36 @@ class Boxes:
                 linear[v] = linear[v] @ motion.frames[eye, :, :3]
         return Boxes(linear, offset, self.shape, self.low, self.high)
 
-    def crossings(
-        self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Where R rays meet N media at a time, between distances `clip`, (R,) each.
+    def crossed(self, rays: RayBatch, least: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (R,) between which rays meet any medium, infinite and in the wrong order on a miss, and the coarse
+        steps (R,) of each for the medium that needs the most of those that it meets.
 
-        Yields the distances (R, N) at which they enter and leave, infinite and in the wrong order on a miss, the
-        lengths (R, N) of a world unit on each ray in voxels, and the voxels (N,) along the media's longest edges.
+        least: voxels that a ray crosses.
         """
-        size = max(CROSSINGS // max(len(origins), 1), 1)
-        near, far = np.broadcast_to(clip[0], len(origins)), np.broadcast_to(clip[1], len(origins))
-        for start in range(0, len(self.linear), size):
-            span = slice(start, start + size)
-            frames, shape = self.linear[span].reshape(-1, 3).T, self.shape[span]
-            at = product(origins, frames).reshape(-1, len(shape), 3) + self.offset[span]
-            slopes = product(directions, frames).reshape(-1, len(shape), 3)
-            enter, leave = box_interval(at, slopes, self.low[span], self.high[span])
-            enter, leave = np.maximum(enter, near[:, None]), np.minimum(leave, far[:, None])
-            miss = ~(enter < leave)
-            enter[miss], leave[miss] = np.inf, -np.inf
-            yield enter, leave, lengths(slopes.reshape(-1, 3)).reshape(miss.shape), shape.max(axis=1)
+        enter, leave, counts = np.empty((3, len(rays.near)))
+        steps = np.maximum(STEPS_PER_EDGE / np.max(self.shape, axis=1, initial=1.0), 1.0)
+        size = max(CROSSINGS // max(len(steps), 1), 1)
+        for start in range(0, len(enter), size):
+            some = slice(start, start + size)
+            call(
+                "cross_boxes",
+                rays=len(enter[some]),
+                boxes=len(steps),
+                origins=np.ascontiguousarray(rays.origins[some], np.float64),
+                directions=np.ascontiguousarray(rays.directions[some], np.float64),
+                near_distance=np.ascontiguousarray(rays.near[some], np.float64),
+                far_distance=np.ascontiguousarray(rays.far[some], np.float64),
+                linear=np.ascontiguousarray(self.linear),
+                offset=np.ascontiguousarray(self.offset),
+                low=np.ascontiguousarray(self.low, np.float64),
+                high=np.ascontiguousarray(self.high, np.float64),
+                steps=steps,
+                least=least,
+                enter=enter[some],
+                leave=leave[some],
+                counts=counts[some],
+            )
+        return enter, leave, counts
 
     def intervals(
         self, origins: np.ndarray, directions: np.ndarray, clip: Sequence[np.ndarray]
@@ -129,10 +138,8 @@ class Boxes:
 
         clip: distances (R,) to the near and the far clipping plane.
         """
-        near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
-        for enter, leave, _, _ in self.crossings(origins, directions, clip):
-            near, far = np.minimum(near, enter.min(axis=1)), np.maximum(far, leave.max(axis=1))
-        return near, far
+        near, far = (np.broadcast_to(end, len(origins)) for end in clip)
+        return self.crossed(RayBatch(origins, directions, near, far))[:2]
 
 
 def step_counts(boxes: Boxes, rays: RayBatch, least: int = MIN_VOXELS) -> np.ndarray:
@@ -140,14 +147,11 @@ def step_counts(boxes: Boxes, rays: RayBatch, least: int = MIN_VOXELS) -> np.nda
 
     least: voxels that a ray crosses.
     """
-    counts = np.full(len(rays.near), least)
     if rays.eyes is not None and any(motion is not None for motion in boxes.motion):
+        counts = np.empty(len(rays.near), int)
         for eye in np.unique(rays.eyes):
             some = np.flatnonzero(rays.eyes == eye)
             counts[some] = step_counts(boxes.seen_by(eye), replace(rays.take(some), eyes=None), least)
         return counts
-    for enter, leave, scale, edges in boxes.crossings(rays.origins, rays.directions, (rays.near, rays.far)):
-        crossed = np.maximum(scale * (rays.far - rays.near)[:, None], least)
-        needed = np.ceil(crossed * np.maximum(STEPS_PER_EDGE / edges, 1.0)) * (enter < leave)
-        counts = np.maximum(counts, needed.max(axis=1).astype(int))
-    return counts
+    # Rays of infinitely many steps are told apart later.
+    return np.minimum(boxes.crossed(rays, least)[2], MANY).astype(int)

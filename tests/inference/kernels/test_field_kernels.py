@@ -30,6 +30,7 @@ from inference.grids.working_cube import Cube, fit_cube, level0_density
 from inference.kernels import library
 from inference.kernels.library import Kernels
 from inference.marching.lamp_in_media import LEAST_FACING, place_lamp, softened
+from inference.marching.ray_steps import Boxes, RayBatch
 from inference.network.network import load_network
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.paper.sun_lattices import SunLevels, sun_lattices, unit_optical_depths
@@ -42,6 +43,7 @@ from inference.source_terms.lamp_cells import LampCells, light_in_cells
 from inference.transport.diffusion import couple, solve
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.radiance_sweep import sweep_radiance
+from tests.reference.boxes import crossed
 from tests.reference.cells import halved, mean_cells, resampled_values
 from tests.reference.final_gather import gathered
 from tests.reference.sun_columns import cell_depths, dense_depths, depth_at, sparse_tiles
@@ -417,3 +419,30 @@ def test_work_that_is_cancelled_ends(work):
     with pytest.raises(Cancelled):
         todo[work]()
     assert len(asked) == 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_rays_meet_boxes(seed):
+    """Some rays run along faces, some within them, and some meet nothing."""
+    random = np.random.default_rng(seed)
+    volumes, count = 12, 3000
+    linear = np.where(random.random((volumes, 1, 1)) < 0.5, np.eye(3), random.normal(size=(volumes, 3, 3)))
+    low = random.integers(-2, 2, (volumes, 3)).astype(float)
+    shape = random.integers(1, 300, (volumes, 3)).astype(float)
+    boxes = Boxes(linear, np.zeros((volumes, 3)), shape, low, low + random.integers(1, 3, (volumes, 3)))
+    directions = random.normal(size=(count, 3)) * (random.random((count, 3)) < 0.7) + [1e-9, 0.0, 0.0]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = random.integers(-6, 6, (count, 3)).astype(float)
+    near = random.uniform(0.0, 3.0, count)
+    rays = RayBatch(origins, directions, near, near + random.uniform(0.0, 20.0, count))
+    expected = crossed(boxes, rays, 32.0)
+    assert 0.1 < np.isinf(expected[0]).mean() < 0.9
+    for found in every_variant(lambda: boxes.crossed(rays, 32.0)):
+        met = np.isfinite(expected[0])
+        np.testing.assert_array_equal(np.isfinite(found[0]), met)
+        for values, known in zip(found[:2], expected[:2]):
+            np.testing.assert_allclose(values[met], known[met], rtol=1e-9, atol=1e-9)
+        # Rounding may take a step more.
+        assert np.abs(found[2] - expected[2]).max() <= 128 and np.mean(found[2] != expected[2]) < 1e-3
+        np.testing.assert_array_equal(found[0][~met], np.inf)
+        np.testing.assert_array_equal(found[1][~met], -np.inf)
