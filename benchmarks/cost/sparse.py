@@ -53,6 +53,9 @@ def write_cloud(path: Path, cells: int, share: float) -> None:
     axis = ((np.arange(cells) + 0.5) / SPLIT - 0.5).astype(np.float32)
     for corner in np.ndindex(*[-(-cells // PART)] * 3):
         axes = [axis[PART * n : PART * (n + 1)] for n in corner]
+        around = tuple(slice(max(int(a[0]), 0), int(a[-1]) + 2) for a in axes)
+        if density[around].max() <= threshold:
+            continue
         places = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
         values = np.maximum(coarse.sample(places) - threshold, np.float32(0.0)).reshape([len(a) for a in axes])
         if values.any():

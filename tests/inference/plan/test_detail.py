@@ -87,6 +87,26 @@ def test_colours_hardly_change():
     assert 0.0 < change(found, expected) < 5e-3
 
 
+def test_no_display_shows_where_cells_become_larger():
+    """In a flight, the frame in which they do flickers by a thousandth more than it would without, at most."""
+    distances = np.geomspace(8.0, 40.0, 400)
+    cells = [coarser_light([[(CLOUD, MEDIUM)]], False, camera(d, resolution=(96, 64)), SETTINGS)[0] for d in distances]
+    grow = np.flatnonzero(np.diff(cells))
+    assert len(grow)
+
+    def flicker(change, settings):
+        """Of pixels, against the mean of the frames before and after, over that of the picture."""
+        frames = [
+            render([(CLOUD, MEDIUM)], LIGHTS, camera(distances[change] + 0.02 * n, resolution=(96, 64)), settings).rgb
+            for n in range(-2, 4)
+        ]
+        beside = 0.5 * (np.array(frames[2:]) + frames[:-2])
+        return np.sqrt(np.mean((frames[1:-1] - beside) ** 2) / np.mean(np.square(frames)))
+
+    for change in grow:
+        assert flicker(change, SETTINGS) < flicker(change, WHOLE) + 1e-3
+
+
 @pytest.mark.parametrize("even", [True, False])
 def test_an_even_world_is_asked_once_on_each_ray_of_a_small_volume(even):
     lights = LIGHTS[1:] if even else [Environment(np.random.default_rng(0).random((8, 16, 3)))]
