@@ -13,7 +13,7 @@ def held_volumes(inside: np.ndarray, numbers: Sequence[int]) -> tuple[np.ndarray
     """
     most = max(int(np.count_nonzero(inside, axis=1).max(initial=1)), 1)
     # Those that hold a sample come first.
-    columns = np.argsort(~inside, axis=1, kind="stable")[:, :most]
+    columns = inside.argmax(axis=1)[:, None] if most == 1 else np.argsort(~inside, axis=1, kind="stable")[:, :most]
     held = np.take_along_axis(inside, columns, axis=1)
     return np.where(held, np.asarray(numbers, np.int32)[columns], np.int32(-1)), columns
 
