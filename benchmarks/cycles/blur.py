@@ -15,21 +15,17 @@ import time
 from collections.abc import Iterator
 
 import bpy
-import numpy as np
-
-from evaluation.error import relative_rmse
 
 from ..demo import scene as demo_scene
 from ..support.data import volume_file
 from ..support.extension import extension
 from ..support.provenance import made_by
+from .ladder import Timed, cycles_pictures, print_rows, rows
 
 PROGRAM = "benchmarks.cycles.blur"
 SMOKE, OPTICAL_DEPTH, FRAME = "openvdb_smoke.vdb", 4.0, 10
 SCENES = "out of focus", "moving smoke", "moving camera"
 BLUR_RAYS, CYCLES_SAMPLES = (4, 16), (4, 16, 64)
-SHOWN = 0.02
-HEAD = "scene", "picture", "relative RMSE", "processor seconds"
 
 
 def stage(blur: str, size: int) -> bpy.types.Scene:
@@ -59,8 +55,8 @@ def stage(blur: str, size: int) -> bpy.types.Scene:
     return scene
 
 
-def layers(scene: bpy.types.Scene) -> Iterator[tuple[str, np.ndarray, float]]:
-    """Name, picture (H, W, 3) and seconds for each of BLUR_RAYS."""
+def layers(scene: bpy.types.Scene) -> Iterator[Timed]:
+    """For each of BLUR_RAYS."""
     addon = extension()
     kept_frame = importlib.import_module("mrpnn.mrpnn_addon.scene.kept_frame")
     for rays in (BLUR_RAYS[0], *BLUR_RAYS):
@@ -73,31 +69,12 @@ def layers(scene: bpy.types.Scene) -> Iterator[tuple[str, np.ndarray, float]]:
         yield f"layer, {rays} rays", layer.rgb, time.process_time() - start
 
 
-def rows(blur: str, size: int, samples: int) -> Iterator[list[str]]:
+def measured(blur: str, size: int, samples: int) -> Iterator[list[str]]:
     """The rows of the table for one scene."""
     scene = stage(blur, size)
-    reference = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
-    view_scene = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference_scene").view_scene
-    objects = [shown for shown in scene.objects if shown.type in ("VOLUME", "LIGHT")]
-    halves = reference.render_reference(scene, objects, reference.PathTracing(samples=samples))
-    mask = 0.5 * (halves.a + halves.b)[..., 3] > SHOWN
-
-    def row(name: str, picture: np.ndarray, seconds: float) -> list[str]:
-        masked = (image[..., :3] * mask[..., None] for image in (picture, halves.a, halves.b))
-        return [blur, name, f"{relative_rmse(*masked, mask).value:.3f}", f"{seconds:.2f}"]
-
     # The first loads the network.
     _, *found = layers(scene)
-    for one in found:
-        yield row(*one)
-    for denoised in (False, True):
-        for count in CYCLES_SAMPLES:
-            with view_scene(scene, objects, reference.PathTracing(samples=count)) as own:
-                own.cycles.use_denoising, own.cycles.seed = denoised, 7
-                start = time.process_time()
-                picture = reference._render(own)
-                seconds = time.process_time() - start
-            yield row(f"Cycles{', denoised' if denoised else ''}, {count} samples", picture, seconds)
+    yield from rows(blur, scene, samples, (*found, *cycles_pictures(scene, CYCLES_SAMPLES)))
 
 
 def main(options: list[str] | None = None) -> None:
@@ -109,10 +86,7 @@ def main(options: list[str] | None = None) -> None:
     parser.add_argument("--scenes", nargs="*", choices=SCENES, default=SCENES)
     arguments = parser.parse_args(options)
     extension()
-    print("| " + " | ".join(HEAD) + " |\n|" + "---|" * len(HEAD))
-    for blur in arguments.scenes:
-        for cells in rows(blur, arguments.size, arguments.samples):
-            print("| " + " | ".join(cells) + " |", flush=True)
+    print_rows(row for blur in arguments.scenes for row in measured(blur, arguments.size, arguments.samples))
     print("\n" + made_by(PROGRAM, options))
 
 
