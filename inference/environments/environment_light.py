@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..grids.halving import halve, refined
+from ..grids.halving import doubled, halve
 from ..grids.working_cube import Cube
 from ..numerics.alike import alike_vector
 from ..numerics.small_matmul import product
@@ -299,7 +299,7 @@ def solve_environment(
     coarser = np.empty([n // 2 for n in coarse.shape], np.float32)
     halve(np.ascontiguousarray(coarse), coarser)
     hidden = [channel for channel in entering if channel.visible is not None]
-    shaded = (np.stack([refined(values) for values in light]) for light in solve(coarser, 1.0, hidden))
+    shaded = (np.stack([doubled(values) for values in light]) for light in solve(coarser, 1.0, hidden))
     even_light = iter(solve(coarse, 1.0, [channel for channel in entering if channel.visible is None]))
     light = [next(even_light if channel.visible is None else shaded) for channel in entering]
     absorbed = [values for albedo in ALBEDOS for values in solve(coarser, albedo, [*entering, even])]

@@ -19,7 +19,7 @@ def halve(fine: np.ndarray, coarse: np.ndarray) -> None:
     )
 
 
-def refined(coarse: np.ndarray) -> np.ndarray:
+def doubled(coarse: np.ndarray) -> np.ndarray:
     """Values float32 (x, y, z) on cells half as large, linear between the centres of the large ones."""
     fine = np.empty([2 * n for n in coarse.shape], np.float32)
     call(

@@ -26,7 +26,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..grids.halving import halve, refined
+from ..grids.halving import doubled, halve
 from ..kernels.library import call
 from ..numerics.small_matmul import product_of_columns
 from ..numerics.spherical_harmonics import spherical_harmonics
@@ -291,7 +291,7 @@ class DiscreteOrdinates:
 
     def _finer(self, values: np.ndarray) -> np.ndarray:
         """Values on cells half as large, interpolated between cell centres, but not if there are surfaces."""
-        return refined(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        return doubled(values) if self.boundaries is None else values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
 
     def _bound(self, field: np.ndarray, more: np.ndarray | None = None, limit: bool = True) -> None:
         """Add fluence (x, y, z) and its diffusion to a field, (5, x, y, z); limit it so that no source is negative.
