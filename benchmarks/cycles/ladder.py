@@ -22,7 +22,7 @@ def cycles_pictures(scene: bpy.types.Scene, counts: Sequence[int]) -> Iterator[T
     view_scene = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference_scene").view_scene
     for denoised in (False, True):
         for count in counts:
-            with view_scene(scene, objects, reference.PathTracing(samples=count)) as own:
+            with view_scene(scene, objects, reference.PathTracing(samples=count), scene.world) as own:
                 own.cycles.use_denoising, own.cycles.seed = denoised, 7
                 start = time.process_time()
                 picture = reference._render(own)
@@ -33,7 +33,7 @@ def cycles_pictures(scene: bpy.types.Scene, counts: Sequence[int]) -> Iterator[T
 def rows(name: str, scene: bpy.types.Scene, samples: int, pictures: Iterable[Timed]) -> Iterator[list[str]]:
     """Rows of HEAD: errors inside the picture of the volumes, against a reference of two halves of so many samples."""
     reference = _reference()
-    halves = reference.render_reference(scene, _shown(scene), reference.PathTracing(samples=samples))
+    halves = reference.render_reference(scene, _shown(scene), reference.PathTracing(samples=samples), scene.world)
     mask = 0.5 * (halves.a + halves.b)[..., 3] > SHOWN
     for picture, image, seconds in pictures:
         masked = (values[..., :3] * mask[..., None] for values in (image, halves.a, halves.b))
