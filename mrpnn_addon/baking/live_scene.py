@@ -156,7 +156,15 @@ class LiveScene:
             self._remove_oldest({one.path for one in baked.volumes})
 
     def _show(self, context: "bpy.types.Context", baked: BakedScene) -> None:
-        """Show light, which counts as no change of the scene."""
+        """Show light, which counts as no change of the scene.
+
+        Blender reads its file when it evaluates the scene next, after the timer. Objects that come or go evaluate
+        everything anew, and so what they change is taken as read at once.
+        """
+        objects = {item.name: item.shown for item in light_state(context.scene).volumes}
+        if objects.keys() == set(baked.names) and all(objects.values()):
+            show_light(context.scene, baked)
+            return
         context.evaluated_depsgraph_get()
         unread, unread_volumes = scene_state(context.scene) != self._read, volume_changes() != self._volumes
         show_light(context.scene, baked)

@@ -1,23 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked light as .vdb files: sparse grids of half floats in the world's frame."""
 
+import json
 import os
 import secrets
+import subprocess
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
 from ...inference import LitVolume
 from ...inference.baking.directional_factor import MAX_LOGARITHM, SMOOTH, DirectionalFactor, NodeGrid
+from ...inference.scene import SceneError
 from .density_grid import VOXEL_CENTRE
-from .openvdb_module import load_openvdb
-from .worker import utf8_link
+from .openvdb_module import FOLDERS, load_openvdb
+from .process import INTERPRETER
+from .writer import LightGrid, write_grids
 
 #: Grids of a file: density, the light that it scatters, and the coefficients of other directions, three in each grid.
 DENSITY, LIGHT, COLOURS = "light_density", "light", ("light_red", "light_green", "light_blue")
 # Largest value of a half float, and of what is written.
 MAX_HALF = 65504.0
+# Bytes of grids from which on another process writes them: no other Python thread, and so not Blender's interface,
+# goes on while OpenVDB writes.
+LARGE = 4 << 20
+PROGRAM = Path(__file__).with_name("writer.py")
 
 
 def smooth_grids() -> list[str]:
@@ -40,25 +48,27 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
 
     Raises OSError, naming the file, where it cannot be written, and SceneError without an OpenVDB module.
     """
-    openvdb = load_openvdb()
     # Density up to 1; the light that it scatters, with it, up to about 1.
     most = float(lit.density.max()) or 1.0
     light = np.minimum(lit.scattered * np.float32(most / scale), np.float32(MAX_HALF))
-    grids = [_grid(openvdb, DENSITY, lit.density / np.float32(most), lit.world_from_index)]
-    grids.append(_grid(openvdb, LIGHT, light, lit.world_from_index))
+    grids = [_grid(DENSITY, lit.density / np.float32(most), lit.world_from_index)]
+    grids.append(_grid(LIGHT, light, lit.world_from_index))
     factor = lit.directional
     if factor is not None:
         # The logarithms of the light as it is written.
         shift = np.float32(np.log(most / scale))
-        grids += _coefficients(openvdb, smooth_grids(), factor.smooth, shift)
-        grids += _coefficients(openvdb, anchor_grids(factor), factor.anchors, shift)
+        grids += _coefficients(smooth_grids(), factor.smooth, shift)
+        grids += _coefficients(anchor_grids(factor), factor.anchors, shift)
         if factor.colours is not None:
-            grids += _coefficients(openvdb, COLOURS, factor.colours, np.float32(0.0))
+            grids += _coefficients(COLOURS, factor.colours, np.float32(0.0))
     unfinished = os.path.join(os.path.dirname(path), f".mrpnn-{secrets.token_hex(8)}.vdb")
     try:
-        with utf8_link(os.path.dirname(unfinished)) as folder:
-            openvdb.write(os.path.join(folder, os.path.basename(unfinished)), grids=grids)
+        large = sum(grid.values.nbytes for grid in grids) > LARGE
+        if not (large and _written_in_process(unfinished, grids)):
+            write_grids(load_openvdb(), unfinished, grids)
         os.replace(unfinished, path)
+    except SceneError:
+        raise
     except Exception as error:
         raise OSError(f"cannot write {path}: {error}") from error
     finally:
@@ -66,7 +76,34 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
             os.unlink(unfinished)
 
 
-def _coefficients(openvdb: Any, names: Sequence[str], nodes: NodeGrid, shift: np.float32) -> list:
+def _written_in_process(path: str, grids: Sequence[LightGrid]) -> bool:
+    """Whether another process has written a file; False where none can, or where it fails."""
+    if not INTERPRETER:
+        return False
+    try:
+        process = subprocess.Popen(
+            [INTERPRETER, "-I", str(PROGRAM), path, *FOLDERS],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError:
+        return False
+    with process:
+        try:
+            assert process.stdin is not None
+            header = [(grid.name, grid.values.shape, list(grid.low), grid.matrix) for grid in grids]
+            process.stdin.write(json.dumps(header).encode() + b"\n")
+            for grid in grids:
+                process.stdin.write(grid.values.data.cast("B"))
+            process.stdin.close()
+        except OSError:  # It has ended.
+            process.kill()
+        return process.wait() == 0
+
+
+def _coefficients(names: Sequence[str], nodes: NodeGrid, shift: np.float32) -> list[LightGrid]:
     """Grids of three coefficients each, the last filled up with zeros; the first coefficient is shifted."""
     values = nodes.values.copy()
     values[..., 0] += shift
@@ -76,20 +113,11 @@ def _coefficients(openvdb: Any, names: Sequence[str], nodes: NodeGrid, shift: np
     values = np.pad(values, [(1, 1)] * 3 + [(0, 0)], mode="edge")
     values = np.pad(values, [(0, 0)] * 3 + [(0, -values.shape[3] % 3)])
     parts = np.split(values, len(names), axis=3)
-    return [_grid(openvdb, name, part, nodes.world_from_index, (-1, -1, -1)) for name, part in zip(names, parts)]
+    return [_grid(name, part, nodes.world_from_index, (-1, -1, -1)) for name, part in zip(names, parts)]
 
 
-def _grid(
-    openvdb: Any, name: str, values: np.ndarray, world_from_index: np.ndarray, low: Sequence[int] = (0, 0, 0)
-) -> Any:
-    """A grid of numbers (nx, ny, nz) or vectors (nx, ny, nz, 3); voxels that are 0 are not stored."""
-    grid = openvdb.FloatGrid() if values.ndim == 3 else openvdb.Vec3SGrid()
-    grid.copyFromArray(np.array(values, np.float32), ijk=low)
-    grid.name = name
-    grid.gridClass = "fog volume"
-    grid.saveFloatAsHalf = True
+def _grid(name: str, values: np.ndarray, world_from_index: np.ndarray, low: Sequence[int] = (0, 0, 0)) -> LightGrid:
+    """A grid of numbers (nx, ny, nz) or vectors (nx, ny, nz, 3) in the world's frame."""
     frame = world_from_index.copy()
     frame[:3, 3] -= VOXEL_CENTRE * frame[:3, :3].sum(axis=1)
-    # OpenVDB's matrices act on rows.
-    grid.transform = openvdb.createLinearTransform(frame.T.tolist())
-    return grid
+    return LightGrid(name=name, values=np.ascontiguousarray(values, np.float32), low=low, matrix=frame.T.tolist())

@@ -227,6 +227,44 @@ def test_files_are_half_floats_without_empty_voxels(addon, scene, cloud, tmp_pat
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
 
 
+def test_large_files_are_the_same_from_another_process(addon, scene, cloud, tmp_path, monkeypatch):
+    """Nothing else goes on in Blender while OpenVDB writes in it."""
+    light_file, started = addon.mrpnn_addon.vdb.light_file, []
+    popen = light_file.subprocess.Popen
+
+    def start(command, **options):
+        started.append(command)
+        return popen(command, **options)
+
+    monkeypatch.setattr(light_file.subprocess, "Popen", start)
+    described = addon.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph())
+    [lit] = addon.inference.bake(described.volumes, described.lights, described.camera)
+    started.clear()
+    paths = [str(tmp_path / name) for name in ("here.vdb", "process.vdb", "without.vdb")]
+    light_file.write_light(paths[0], lit, 1.0)
+    assert not started
+    monkeypatch.setattr(light_file, "LARGE", 0)
+    light_file.write_light(paths[1], lit, 1.0)
+    assert len(started) == 1 and "writer.py" in str(started[0])
+    monkeypatch.setattr(light_file, "PROGRAM", tmp_path / "missing.py")
+    light_file.write_light(paths[2], lit, 1.0)
+    assert len(started) == 2
+    openvdb = blender_scenes.openvdb()
+    expected, *found = (
+        {grid.name: openvdb.read(path, grid.name) for grid in openvdb.readAllGridMetadata(path)} for path in paths
+    )
+    assert len(expected) > 10
+    for grids in found:
+        assert grids.keys() == expected.keys()
+        for name, grid in grids.items():
+            assert grid.transform == expected[name].transform and grid.saveFloatAsHalf
+            shape = [high + 2 for high in grid.evalActiveVoxelBoundingBox()[1]]
+            here, there = (np.zeros([*shape, 3] if "Vec" in type(grid).__name__ else shape) for _ in range(2))
+            grid.copyToArray(here, ijk=(-1, -1, -1))
+            expected[name].copyToArray(there, ijk=(-1, -1, -1))
+            np.testing.assert_array_equal(here, there)
+
+
 def test_a_folder_that_cannot_be_made_is_named(addon, scene, cloud, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RuntimeError, match="file"):

@@ -129,6 +129,29 @@ def test_the_interface_never_waits(live):
     assert settle(live) < 0.1
 
 
+def test_blender_reads_files_of_light_between_calls_of_the_timer(live):
+    """What evaluates the scene reads them, which takes long where they are large."""
+    settle(live)
+    evaluated, end = [], time.monotonic() + 120
+    handler = lambda *_: evaluated.append(shown_file())  # noqa: E731
+    turn_sun(1.4)
+    until_shown(live, shown_file())
+    first = shown_file()
+    bpy.app.handlers.depsgraph_update_post.append(handler)
+    try:
+        while shown_file() == first:
+            assert time.monotonic() < end
+            bpy.context.view_layer.update()
+            evaluated.clear()
+            live.tick()
+            assert not evaluated
+            time.sleep(0.01)
+        bpy.context.view_layer.update()
+        assert evaluated == [shown_file()]
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(handler)
+
+
 def test_light_that_was_baked_before_comes_back_without_a_bake(live):
     settle(live)
     first = shown_file()
