@@ -87,7 +87,7 @@ def measure(view: View) -> dict:
         start = time.process_time()
         bpy.ops.mrpnn.bake_light(folder=folder)
         baked = time.process_time()
-        image = _cycles(scene, Path(folder))
+        image = cycles(scene, Path(folder))
         done = time.process_time()
         halves = view.halves()
         mask = halves[..., 3].mean(axis=0) > MASK_ALPHA
@@ -110,7 +110,7 @@ def _layer(description, settings: Settings):
     return render(description.volumes, description.suns, description.camera, settings)
 
 
-def _cycles(scene, folder: Path) -> np.ndarray:
+def cycles(scene, folder: Path) -> np.ndarray:
     from tests.support import blender_scenes as scenes
 
     scenes.set_up_cycles(scene, SAMPLES, 0)

@@ -56,6 +56,9 @@ POINTS_PER_BATCH = 1 << 16
 MEAN_PREDICTIONS = 6000
 # Predictions of the light of environments, which is smooth, over those of lights.
 SKY_SHARE = 0.5
+# Where lamps and environments light a volume, the one that gives less than half of the light has fewer predictions for
+# other directions, but at least this share of them.
+LEAST_SHARE = 0.1
 
 
 def bake(
@@ -137,6 +140,8 @@ class _Bake:
         self.visibilities = [self._visibility(v) for v in range(len(scene.plan.volumes))]
         # Along the directions whose mean is baked, of each volume.
         self._known: list[list[KnownLight]] = [[] for _ in self.lattices]
+        # What lamps and environments give to each volume, where they were predicted apart.
+        self._given = np.zeros((len(self.lattices), 2))
         self._expect()
 
     def run(self) -> dict[int, LitVolume]:
@@ -188,18 +193,24 @@ class _Bake:
         thickness, smooth = visibility.most_extinction * lattice.voxel, "smooth_light" in self._switches
         if self._sees_all_around and smooth and voxels > FEW:
             points = IMPORTANT_SHARE * voxels / stride_of(longest, FINE_NODES, thickness) ** 3
-            expected = len(DIRECTIONS) * min(points, MEAN_PREDICTIONS)
-        else:
-            times = len(DIRECTIONS) if self._sees_all_around else 1
-            expected = times * expected_predictions(voxels, STRIDES if smooth else (1,))
-        if self.context.settings.directional:
-            anisotropy = self.scene.plan.volumes[v][1].anisotropy
-            directions = sampled_directions(
-                make_lobe([one.sun for one in self.scene.plan.predicted_suns()], anisotropy)
-            )
-            anchors = 0 if self._sees_all_around else len(ANCHORS) - 1
-            expected += expected_work(voxels, longest, thickness, len(directions), anchors)
-        return expected
+            return len(DIRECTIONS) * min(points, MEAN_PREDICTIONS) + self._expected_directions(v)
+        times = len(DIRECTIONS) if self._sees_all_around else 1
+        return times * expected_predictions(voxels, STRIDES if smooth else (1,)) + self._expected_directions(v)
+
+    def _expected_directions(self, v: int) -> float:
+        """The same for other directions alone."""
+        if not self.context.settings.directional:
+            return 0.0
+        lattice = self.lattices[v]
+        anisotropy = self.scene.plan.volumes[v][1].anisotropy
+        directions = sampled_directions(make_lobe([one.sun for one in self.scene.plan.predicted_suns()], anisotropy))
+        return expected_work(
+            float(np.count_nonzero(self._wanted(v))),
+            max(lattice.density.shape),
+            self.visibilities[v].most_extinction * lattice.voxel,
+            len(directions),
+            0 if self._sees_all_around else len(ANCHORS) - 1,
+        )
 
     def _wanted(self, v: int) -> np.ndarray:
         """bool (nx, ny, nz): voxels whose light is baked."""
@@ -221,8 +232,8 @@ class _Bake:
         importance = importance_of(thickness, self.visibilities[v].towards(self.view, lattice))
         radiance = np.zeros((*wanted.shape, 3), np.float32)
         # Light that surfaces throw back changes fast beside them.
-        parts = light.parts if smooth and self.scene.thrown_back is None else (light, None)
-        for part, strides in zip(parts, (STRIDES, SKY_STRIDES)):
+        apart = smooth and self.scene.thrown_back is None
+        for kind, (part, strides) in enumerate(zip(light.parts if apart else (light, None), (STRIDES, SKY_STRIDES))):
             if part is not None:
                 strides = strides if "smooth_light" in self._switches else (1,)
                 expected = expected_predictions(np.count_nonzero(wanted), strides)
@@ -234,9 +245,12 @@ class _Bake:
                     expected = max(expected - len(voxels), 0.0)
                     return self._predicted(part, lattice.positions(voxels))
 
-                found, predicted = radiance_in_voxels(wanted, importance, predict, strides)
+                # Errors of the World's light count less beside that of lamps.
+                beside = radiance if radiance.any() else None
+                found, predicted = radiance_in_voxels(wanted, importance, predict, strides, beside)
                 self._expect_more(part, -expected)
                 radiance += found
+                self._given[v, kind] += float(found.sum()) if apart else 0.0
                 report.count("voxels predicted", predicted)
         return radiance
 
@@ -335,6 +349,10 @@ class _Bake:
 
         def part(kind: int, share: float) -> list[LightPart]:
             alike = [one for one in (light.parts[kind] for light in lights) if one is not None]
+            if total := self._given[v].sum():
+                share *= float(np.clip(2.0 * self._given[v, kind] / total, LEAST_SHARE, 1.0))
+            for one in alike:
+                self._expect_more(one, (share - 1.0) * self._expected_directions(v))
 
             def predict(positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
                 radiance = np.sum([one(positions, directions) for one in alike], axis=0)

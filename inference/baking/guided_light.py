@@ -206,10 +206,10 @@ class LightAtPoints:
         """
         if not importance.any():
             return np.zeros((len(importance), 3), np.float32)
-        directions, along = view.directions(self._positions), view.directions(self._middle[None])
-        assert directions is not None and along is not None
+        along = view.directions(self._middle[None])
+        assert along is not None
         if self._light.every:
-            return self._predicted_everywhere(directions, along[0], importance)
+            return self._predicted_everywhere(view, importance)
         known = self._light.known
         known[:] = sorted(known, key=lambda one: -float(one.direction @ along[0]))
         known[:NEAR] = [one.on(self.grid) for one in known[:NEAR]]
@@ -224,17 +224,23 @@ class LightAtPoints:
         found, grey = np.zeros((len(importance), 3), np.float32), np.zeros(self.grid.shape, np.float32)
         for part, steady, arriving in zip(self._light.parts, self._steady, ahead):
             guides = [one.reshape(-1) for one in (*steady, *arriving, *shared)]
-            light, mean = self._ratio_estimate(part, guides, directions, importance, most)
+            light, mean = self._ratio_estimate(part, guides, view, importance, most)
             found += light
             grey += mean
         known.append(KnownLight(along[0], self.grid, grey))
         return found
 
-    def _predicted_everywhere(self, directions: np.ndarray, along: np.ndarray, importance: np.ndarray) -> np.ndarray:
+    def _predicted_everywhere(self, view: BakedView, importance: np.ndarray) -> np.ndarray:
         some = np.flatnonzero(importance)
-        light = np.sum([part.predict(self._positions[some], directions[some]) for part in self._light.parts], axis=0)
+        light = np.sum([self._predicted(part, view, some) for part in self._light.parts], axis=0)
         found: np.ndarray = self.grid.spread(np.argwhere(self._mask(some)), light[np.argsort(self._places[some])])
         return found[self._at]
+
+    def _predicted(self, part: LightPart, view: BakedView, some: np.ndarray) -> np.ndarray:
+        """Light of one part (M, 3) at some of the points, int (M,)."""
+        directions = view.directions(self._positions[some])
+        assert directions is not None
+        return part.predict(self._positions[some], directions)
 
     def _mask(self, some: np.ndarray) -> np.ndarray:
         mask = np.zeros(self.grid.shape, bool)
@@ -242,7 +248,7 @@ class LightAtPoints:
         return mask
 
     def _ratio_estimate(
-        self, part: LightPart, guides: list[np.ndarray], directions: np.ndarray, importance: np.ndarray, most: int
+        self, part: LightPart, guides: list[np.ndarray], view: BakedView, importance: np.ndarray, most: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Light float32 (N, 3), and mean over the colours (nx, ny, nz) on the whole grid.
 
@@ -250,7 +256,7 @@ class LightAtPoints:
         """
         guide = np.sum([one[self._places] for one in guides], axis=0)
         chosen = _chosen(self._order, importance * np.maximum(guide, AMBIENT * guide.mean()), part.share * most)
-        light = part.predict(self._positions[chosen], directions[chosen])
+        light = self._predicted(part, view, chosen)
         grey, places = grey_of(light), self._places[chosen]
         factors = _fitted(np.stack([one[places] for one in guides], axis=1).astype(np.float64), grey)
         told = np.full(self.grid.shape, AMBIENT * max(float(grey.mean()), 1e-30), np.float32)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-# Distances of neighbours in the lattices, in voxels. The first two are predicted everywhere.
+# Distances of neighbours in the lattices, in voxels. The first two are predicted wherever the picture shows anything.
 STRIDES = (4, 2, 1)
 # The same for light of environments, which varies less.
 SKY_STRIDES = (8, *STRIDES)
@@ -17,8 +17,10 @@ SKY_STRIDES = (8, *STRIDES)
 TOLERANCE = 0.012
 # So few voxels are all predicted: their neighbours tell too little of how smooth their light is.
 FEW = 4096
+# Importance up to which only the first lattice is predicted.
+UNSEEN = 1e-5
 # Optical thickness of a voxel, times this, from which it counts in full.
-THIN = 10.0
+THIN = 4.0
 # Light beyond the edge of a volume, as a share of that near by: limits of its continuation.
 LEAST, MOST = np.float32(0.3), np.float32(2.0)
 
@@ -45,12 +47,17 @@ def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarra
 
 
 def radiance_in_voxels(
-    wanted: np.ndarray, importance: np.ndarray, predict: Callable[[np.ndarray], np.ndarray], strides: Sequence[int]
+    wanted: np.ndarray,
+    importance: np.ndarray,
+    predict: Callable[[np.ndarray], np.ndarray],
+    strides: Sequence[int],
+    beside: np.ndarray | None = None,
 ) -> tuple[np.ndarray, int]:
     """Radiance float32 (nx, ny, nz, 3) in the wanted voxels, 0 in others, and the number of voxels predicted.
 
     wanted: bool (nx, ny, nz). importance: see `importance_of`. predict: radiance (3, N) of voxels int (N, 3).
-    strides: distances of neighbours in the lattices, as STRIDES; 1 alone where no voxel is interpolated.
+    strides: distances of neighbours in the lattices, as STRIDES; 1 alone where no voxel is interpolated. beside: other
+    radiance (nx, ny, nz, 3) that is in the picture, beside which an error counts less.
     """
     predicted, values, error = 0, np.zeros((0, 0, 0, 3), np.float32), np.zeros((0, 0, 0), np.float32)
     known = np.zeros((0, 0, 0), bool)
@@ -60,9 +67,13 @@ def radiance_in_voxels(
         here = wanted[::stride, ::stride, ::stride]
         between, near = _upsampled(values, known, here.shape)
         chosen = here.copy()
+        if stride in strides[1:2]:
+            chosen &= ~near | (_block_maxima(importance, stride) > UNSEEN)
         if stride not in strides[:2]:
             counts = _block_maxima(importance, stride)
             grey = between.mean(axis=3)
+            if beside is not None:
+                grey += near * beside[::stride, ::stride, ::stride].mean(axis=3)
             mean = float((counts * grey)[here].sum() / max(float((counts * near)[here].sum()), 1e-30))
             chosen &= ~near | (_around(error, here.shape) * counts > TOLERANCE * mean)
         values = np.where((here & ~chosen)[..., None], between, np.float32(0.0))

@@ -151,6 +151,20 @@ def test_light_of_an_environment_and_a_sun_adds_up():
     np.testing.assert_allclose(both.emission, one.emission + two.emission, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("directional", [False, True])
+def test_a_faint_environment_beside_a_sun_takes_few_predictions(directional):
+    """Its errors hardly count there."""
+    volume, view, bright = cloud(voxels=48), camera(resolution=(48, 32)), sky()
+    faint = Environment(0.02 * bright.radiance)
+    settings = Settings(directional=directional)
+    sun, alone, both = (bake([(volume, MEDIUM)], s, view, settings)[0] for s in ([SUN], [faint], [SUN, faint]))
+    points = [lit.report.counts["network points"] for lit in (sun, alone, both)]
+    assert points[0] < points[2] < points[0] + 0.6 * points[1]
+    parts = [seen_through(volume, MEDIUM, lit, view) for lit in (sun, alone, both)]
+    assert parts[1].mean() < 0.1 * parts[0].mean()
+    assert relative(parts[2], parts[0] + parts[1]) < 0.005
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("light", [SUN, sky()], ids=["sun", "environment"])
 def test_light_that_ground_throws_back_is_baked_with_what_scatters_once(light):
