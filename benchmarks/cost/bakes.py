@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Processor seconds of bakes: two clouds of about 363 000 voxels, and smoke as Blender imports it.
 
-    python -m benchmarks.cost.bakes [--rounds 3]
+    python -m benchmarks.cost.bakes [--rounds 2]
 
 The clouds are procedural ones that no training has seen, in one sun. A row has the seconds of a bake with other
 directions, without them, and without a camera, for the mean over directions: each the least of so many rounds. The
@@ -85,7 +85,7 @@ def least(work: Callable[[], None], rounds: int) -> float:
 def main() -> None:
     """The command of the docstring."""
     parser = argparse.ArgumentParser(prog=PROGRAM, description=__doc__.split("\n")[0])
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=2)
     options = parser.parse_args()
     extension()
     print("| scene | voxels | bake, processor seconds | without other directions | ratio | without a camera |")

@@ -28,6 +28,9 @@ FEWEST_VOXELS = 32
 # Bytes per baked voxel: emission, what is predicted of it, density and masks.
 VOXEL_BYTES = 40
 
+# Points of a lattice, as shares of its edges (9, 3), along whose rays visibility from a viewer is computed: those of
+# DIRECTIONS are too far apart for the gaps of ragged clouds.
+VIEWED = np.concatenate([np.full((1, 3), 0.5), 0.25 + 0.5 * np.array(list(np.ndindex(2, 2, 2)))])
 #: Unit directions (26, 3) to the neighbours of a cell, and the weights (26,) of Lebedev's quadrature on them.
 STEPS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 DIRECTIONS = STEPS / np.linalg.norm(STEPS, axis=1)[:, None]
@@ -158,14 +161,19 @@ class Visibility:
         rays = view.directions(lattice.positions(cells.T * self.cell + 0.5 * (self.cell - 1)))
         if rays is None:
             return self._in_voxels(np.exp(-self.depths.min(axis=0)))
-        nearest = (rays @ -DIRECTIONS.T).argmax(axis=1)
-        depths = self.depths.reshape(len(DIRECTIONS), -1)[nearest, np.arange(len(nearest))]
+        viewed = view.directions(lattice.positions(VIEWED * (self.shape - 1.0)))
+        assert viewed is not None
+        towards = np.concatenate([DIRECTIONS, np.unique(-viewed, axis=0)])
+        further = [self._depths(direction) for direction in towards[len(DIRECTIONS) :]]
+        known = np.concatenate([self.depths, further])
+        nearest = (rays @ -towards.T).argmax(axis=1)
+        depths = known.reshape(len(towards), -1)[nearest, np.arange(len(nearest))]
         if view.position is not None:
             # Nothing behind a viewer within the volume hides anything.
             place = np.linalg.inv(lattice.world_from_index) @ [*view.position, 1.0]
             at = np.floor((place[:3] + 0.5) / self.cell).astype(int)
             if np.all((at >= 0) & (at < self.depths.shape[1:])):
-                depths = np.maximum(depths - self.depths[(nearest, *at)], np.float32(0.0))
+                depths = np.maximum(depths - known[(nearest, *at)], np.float32(0.0))
         return self._in_voxels(np.exp(-depths).reshape(self.depths.shape[1:]))
 
     @property
