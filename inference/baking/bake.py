@@ -48,6 +48,8 @@ from .smooth_light import (
 
 # Least transmittance with which a direction counts in the mean over those that show a voxel.
 HARDLY_SEEN = 1e-3
+# Voxels of density, along an edge, in one in which light is baked, at most, where `most_voxels` joins voxels.
+FINER = 3
 # For plans of images, of which a bake makes none.
 _NO_IMAGE = Camera(np.eye(4), resolution=(1, 1))
 # Points that are evaluated together: ray features of all suns are held at once.
@@ -115,7 +117,7 @@ def bake(
             baked += 1
         else:
             empty, dark = np.zeros((1, 1, 1), np.float32), np.zeros((1, 1, 1, 3), np.float32)
-            found.append(LitVolume(empty, dark, original.world_from_index, None, original.name, report))
+            found.append(LitVolume(empty, dark, original.world_from_index, name=original.name, report=report))
     return found
 
 
@@ -389,4 +391,14 @@ class _Bake:
                 fit = DirectionFit(lattice, scattered, steady, self.visibilities[v], lobe, self.view, guided)
                 directional = fit.factor(DETAIL_SHARPNESS * medium.anisotropy**2)
         scattered = continued(scattered, self._wanted(v))
-        return LitVolume(lattice.density, scattered, lattice.world_from_index, directional, volume.name, report)
+        frame, fine = lattice.world_from_index, self._fine(v)
+        return LitVolume(lattice.density, scattered, frame, directional, fine, volume.name, report)
+
+    def _fine(self, v: int) -> BakeLattice | None:
+        """The density of one volume in smaller voxels, where light is baked in few: it varies more than light does."""
+        settings = self.context.settings
+        if not settings.most_voxels:
+            return None
+        smaller = replace(settings, most_voxels=FINER * settings.most_voxels)
+        fine = make_lattice(self.scene.plan.volumes[v][0], self.scene.grids[v], self.camera, smaller)
+        return fine if fine.coarsening < self.lattices[v].coarsening else None

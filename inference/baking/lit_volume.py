@@ -9,6 +9,7 @@ from ..numerics.interpolation import pad_with_zeros, sample_padded
 from ..numerics.small_matmul import product
 from ..runtime.report import Report
 from .directional_factor import DirectionalFactor
+from .lattice import BakeLattice
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class LitVolume:
         falls to 0, and interpolating their product would make the edge too bright.
     world_from_index: float64 (4, 4), as in Volume; the grid need not be the volume's.
     directional: what makes other directions right, or None.
+    fine: the density in smaller voxels than those in which light is baked, or None. Renderers show it instead.
     name: of the volume.
     report: of the bake, the same for all volumes baked together.
     """
@@ -30,6 +32,7 @@ class LitVolume:
     scattered: np.ndarray
     world_from_index: np.ndarray
     directional: DirectionalFactor | None = None
+    fine: BakeLattice | None = None
     name: str = "volume"
     report: Report = field(default_factory=Report)
 
@@ -44,10 +47,17 @@ class LitVolume:
 
     def towards(self, positions: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Emission float32 (N, 3) at world positions (N, 3), for camera rays along unit directions (N, 3)."""
-        index_from_world = np.linalg.inv(self.world_from_index)
-        index = (product(positions, index_from_world[:3, :3].T) + index_from_world[:3, 3]).T.astype(np.float32)
+        index, shown = _index(self.world_from_index, positions), self.fine or self
         channels = [sample_padded(pad_with_zeros(self.scattered[..., c]), index) for c in range(3)]
         scattered = np.stack(channels, axis=1)
         if self.directional is not None:
             scattered *= self.directional(positions, directions, scattered.mean(axis=1))
-        return scattered * sample_padded(pad_with_zeros(self.density), index)[:, None]
+        density = sample_padded(pad_with_zeros(shown.density), _index(shown.world_from_index, positions))
+        return scattered * density[:, None]
+
+
+def _index(world_from_index: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Indices float32 (3, N) of world positions (N, 3)."""
+    inverse = np.linalg.inv(world_from_index)
+    index: np.ndarray = (product(positions, inverse[:3, :3].T) + inverse[:3, 3]).T.astype(np.float32)
+    return index

@@ -32,6 +32,7 @@ class Settings:
         followed.
     directional: whether baked light is right from other directions than the camera's too.
     most_voxels: along the longest edge of a baked lattice, whose voxels are joined beyond; 0 for as many as there are.
+        The density keeps up to three times as many.
     outputs: what the layer holds besides its colours, of OUTPUTS.
     detail_width: pixels across the picture for which light is resolved, 0 for those of the camera: rough pictures of a
         viewport share the light of the last one.

@@ -40,7 +40,7 @@ def anchor_grids(factor: DirectionalFactor) -> list[str]:
 
 def brightness(lit: LitVolume) -> float:
     """A value by which a light is divided such that half floats hold it: its largest, or 1 where it is dark."""
-    return float(lit.density.max()) * float(lit.scattered.max()) or 1.0
+    return float((lit.fine or lit).density.max()) * float(lit.scattered.max()) or 1.0
 
 
 def write_light(path: str, lit: LitVolume, scale: float) -> None:
@@ -49,9 +49,10 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
     Raises OSError, naming the file, where it cannot be written, and SceneError without an OpenVDB module.
     """
     # Density up to 1; the light that it scatters, with it, up to about 1.
-    most = float(lit.density.max()) or 1.0
+    shown = lit.fine or lit
+    most = float(shown.density.max()) or 1.0
     light = np.minimum(lit.scattered * np.float32(most / scale), np.float32(MAX_HALF))
-    grids = [_grid(DENSITY, lit.density / np.float32(most), lit.world_from_index)]
+    grids = [_grid(DENSITY, shown.density / np.float32(most), shown.world_from_index)]
     grids.append(_grid(LIGHT, light, lit.world_from_index))
     factor = lit.directional
     if factor is not None:

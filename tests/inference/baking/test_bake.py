@@ -318,6 +318,17 @@ def test_joined_voxels_of_few_pixels_keep_the_brightness_of_thin_walls():
     assert relative_of_joined_voxels(ring, 12.0)[1] <= 0.06
 
 
+def test_light_in_few_voxels_keeps_the_detail_of_the_density():
+    volume, view = cloud(voxels=48), camera(resolution=(96, 64))
+    few, full = (bake([(volume, MEDIUM)], [SUN], view, Settings(directional=False, most_voxels=n))[0] for n in (16, 0))
+    assert full.fine is None and few.fine.density.shape > few.density.shape
+    positions = centres(full)
+    along = np.tile(-view.world_matrix[:3, 2], (len(positions), 1))
+    truth = full.towards(positions, along)
+    assert relative(few.towards(positions, along), truth) < 0.15
+    assert relative(replace(few, fine=None).towards(positions, along), truth) > 0.3
+
+
 @pytest.mark.slow
 def test_the_factor_of_other_directions_is_one_along_the_baked_view():
     volume, view = cloud(voxels=16), camera()
