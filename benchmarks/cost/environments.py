@@ -9,8 +9,8 @@ coloured environment together, in turn, and prints the least seconds of each and
 
 from inference import Sun
 
+from ..support.light_table import print_table
 from .frame import SUN, skies
-from .light_table import print_table
 
 PROGRAM = "benchmarks.cost.environments"
 

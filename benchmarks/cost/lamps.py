@@ -12,8 +12,8 @@ import numpy as np
 
 from inference import AreaLight, PointLight, SpotLight, Sun
 
+from ..support.light_table import print_table
 from .frame import SUN, frame_of, panel
-from .light_table import print_table
 
 PROGRAM = "benchmarks.cost.lamps"
 

@@ -16,6 +16,7 @@ from ...inference.scene import SceneError
 from .density_grid import VOXEL_CENTRE
 from .openvdb_module import FOLDERS, load_openvdb
 from .process import INTERPRETER
+from .worker import utf8_link
 from .writer import LightGrid, write_grids
 
 #: Grids of a file: density, the light that it scatters, and the coefficients of other directions, three in each grid.
@@ -65,8 +66,10 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
     unfinished = os.path.join(os.path.dirname(path), f".mrpnn-{secrets.token_hex(8)}.vdb")
     try:
         large = sum(grid.values.nbytes for grid in grids) > LARGE
-        if not (large and _written_in_process(unfinished, grids)):
-            write_grids(load_openvdb(), unfinished, grids)
+        with utf8_link(os.path.dirname(unfinished)) as folder:
+            written = os.path.join(folder, os.path.basename(unfinished))
+            if not (large and _written_in_process(written, grids)):
+                write_grids(load_openvdb(), written, grids)
         os.replace(unfinished, path)
     except SceneError:
         raise

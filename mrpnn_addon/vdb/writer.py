@@ -7,21 +7,16 @@ FOLDER: search path of the OpenVDB module. Reads a line of JSON, a list of [name
 the values of each grid, float32. Exit status 0 when the file is complete.
 """
 
+import importlib.util
 import json
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
-
-try:
-    from .worker import load_module, utf8_link
-except ImportError:  # As a program.
-    sys.path.append(os.path.dirname(__file__))
-    from worker import load_module, utf8_link  # type: ignore[no-redef]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +35,7 @@ class LightGrid:
 
 def write_grids(openvdb: Any, path: str, grids: Sequence[LightGrid]) -> None:
     """Write a file. Raises OpenVDB's exceptions."""
-    with utf8_link(os.path.dirname(path)) as folder:
-        openvdb.write(os.path.join(folder, os.path.basename(path)), grids=[_grid(openvdb, one) for one in grids])
+    openvdb.write(path, grids=[_grid(openvdb, one) for one in grids])
 
 
 def _grid(openvdb: Any, written: LightGrid) -> Any:
@@ -52,16 +46,25 @@ def _grid(openvdb: Any, written: LightGrid) -> Any:
     return grid
 
 
+def _load_module(folders: Sequence[str]) -> Any:
+    """As `worker.load_module`, of a program, which has no package."""
+    spec: Any = importlib.util.spec_from_file_location("worker", Path(__file__).with_name("worker.py"))
+    worker = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(worker)
+    return worker.load_module(folders)
+
+
 def main(path: str, *folders: str) -> int:
     import numpy
 
-    stream, grids = sys.stdin.buffer, []
+    stream: Any = sys.stdin.buffer
+    grids = []
     for name, shape, low, matrix in json.loads(stream.readline()):
         values = numpy.empty(shape, numpy.float32)
         if stream.readinto(values.data.cast("B")) != values.nbytes:
             return 1
         grids.append(LightGrid(name=name, values=values, low=low, matrix=matrix))
-    write_grids(load_module(folders), path, grids)
+    write_grids(_load_module(folders), path, grids)
     return 0
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from inference import Settings, Volume, render
 
-from ..support.provenance import made_by
-from .frame import MEDIUM, camera_covering
-from .speed import cloud
+from ..cost.frame import MEDIUM, camera_covering
+from ..cost.speed import cloud
+from .provenance import made_by
 
 
 def print_table(
