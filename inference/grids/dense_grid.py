@@ -29,7 +29,7 @@ class DenseGrid:
     values: float32 (nx, ny, nz).
     """
 
-    CELL = 3
+    cell = 3
     # Voxel 0 is at index 1 of the padded grid.
     cells_first = np.ones(3, int)
 
@@ -58,12 +58,12 @@ class DenseGrid:
         return np.packbits(filled, axis=2, bitorder="little")
 
     def cells(self) -> np.ndarray:
-        """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
-        return _reduced(np.logical_or, self.padded != 0.0, self.CELL)
+        """bool, cells of `cell` voxels along an edge, that hold a value other than 0."""
+        return _reduced(np.logical_or, self.padded != 0.0, self.cell)
 
     def cell_peaks(self) -> np.ndarray:
-        """float32, the largest value in cells of CELL x CELL x CELL voxels."""
-        return _reduced(np.maximum, self.padded, self.CELL)
+        """float32, the largest value in cells of `cell` voxels along an edge."""
+        return _reduced(np.maximum, self.padded, self.cell)
 
 
 def _reduced(function: np.ufunc, values: np.ndarray, cell: int) -> np.ndarray:

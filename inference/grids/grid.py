@@ -47,7 +47,7 @@ class Voxels:
         self.emission = [_cropped(channel, low, high, times) for channel in emission]
         self.scattering = [_cropped(channel, low, high, times) for channel in volume.scattering or ()]
         filled = np.logical_or.reduce([grid.cells() for grid in (self.density, *self.emission)])
-        self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.CELL, self.density.cells_first)
+        self.occupancy = Occupancy(filled, self.density.cell_peaks(), self.density.cell, self.density.cells_first)
         # Of all instances, as long as one of them holds them.
         self._sun_depths: weakref.WeakValueDictionary[tuple[bytes, int], SunOpticalDepth] = (
             weakref.WeakValueDictionary()

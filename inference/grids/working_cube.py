@@ -136,7 +136,7 @@ def level0_density(
         linear = index_from_cube / LEVEL0_CELLS
         centre = origin + cube.low + linear @ np.full(3, 0.5 - LEVEL0_CELLS / 2)
         grid = volume.density if isinstance(volume.density, SparseGrid) else DenseGrid(volume.density)
-        occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.CELL, grid.cells_first)
+        occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.cell, grid.cells_first)
         resample(grid, 1, occupancy, Placement(linear, centre, INNER @ linear.T), cells, cancel)
         return cells
     edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)

@@ -12,6 +12,9 @@ from ..numerics.interpolation import lerp_into
 
 # Voxels along an edge of a block: those of an OpenVDB leaf node.
 EDGE = 8
+# Voxels along an edge of the cells that rays skip: of usual grids, and of those with more voxels along an edge, whose
+# cells would take longer to find than rays take to cross larger ones.
+CELL, LARGE, LARGE_CELL = 4, 1024, EDGE
 # Blocks that are processed together.
 BLOCKS_PER_BATCH = 1 << 14
 
@@ -26,14 +29,16 @@ class SparseGrid:
     Immutable: properties of all values are computed once.
     """
 
-    # Voxels along an edge of the cells that rays skip.
-    CELL = 4
-
     def __init__(
         self, shape: Sequence[int] | np.ndarray, table: np.ndarray, values: np.ndarray, first: ArrayLike
     ) -> None:
         self.shape, self.table, self.values = tuple(int(n) for n in shape), table, values
         self.first = np.array(first, int)
+
+    @property
+    def cell(self) -> int:
+        """Voxels along an edge of the cells that rays skip."""
+        return CELL if max(self.shape) <= LARGE else LARGE_CELL
 
     @property
     def cells_first(self) -> np.ndarray:
@@ -221,22 +226,22 @@ class SparseGrid:
         return lerp_into(y0, y1, fx)
 
     def cells(self) -> np.ndarray:
-        """bool, cells of CELL x CELL x CELL voxels that hold a value other than 0."""
-        per_block = EDGE // self.CELL
+        """bool, cells of `cell` voxels along an edge, that hold a value other than 0."""
+        per_block = EDGE // self.cell
         filled = np.zeros([n * per_block for n in self.table.shape], bool)
         blocks = filled.reshape([size for n in self.table.shape for size in (n, per_block)])
         for (x, y, z), rows in self._stored_blocks():
-            cells = (self.values[rows] != 0.0).reshape(-1, *(per_block, self.CELL) * 3)
+            cells = (self.values[rows] != 0.0).reshape(-1, *(per_block, self.cell) * 3)
             blocks[x, :, y, :, z, :] = cells.any(axis=(2, 4, 6))
         return filled
 
     def cell_peaks(self) -> np.ndarray:
-        """float32, the largest value in cells of CELL x CELL x CELL voxels."""
-        per_block = EDGE // self.CELL
+        """float32, the largest value in cells of `cell` voxels along an edge."""
+        per_block = EDGE // self.cell
         peaks = np.zeros([n * per_block for n in self.table.shape], np.float32)
         blocks = peaks.reshape([size for n in self.table.shape for size in (n, per_block)])
         for (x, y, z), rows in self._stored_blocks():
-            cells = self.values[rows].reshape(-1, *(per_block, self.CELL) * 3)
+            cells = self.values[rows].reshape(-1, *(per_block, self.cell) * 3)
             blocks[x, :, y, :, z, :] = cells.max(axis=(2, 4, 6))
         return peaks
 

@@ -274,7 +274,7 @@ def resampling(random: np.random.Generator) -> None:
     resample(
         grid,
         int(random.integers(1, 5)),
-        Occupancy(filled, peaks, grid.CELL, grid.cells_first),
+        Occupancy(filled, peaks, grid.cell, grid.cells_first),
         placement,
         out,
     )

@@ -136,6 +136,17 @@ def test_a_layer_equals_that_of_the_dense_grid(sigma_t):
     compare(rendered([(kept_sparsely(dense), medium)], suns), rendered([(dense, medium)], suns))
 
 
+def test_a_grid_so_long_that_its_cells_are_blocks_equals_the_dense_one():
+    shape = np.array((1100, 30, 30))
+    matrix = np.diag([*(1.0 / shape), 1.0])
+    matrix[:3, 3] = -0.5
+    dense = Volume(puffs(shape=tuple(shape), count=80), matrix, "long")
+    sparse, short = kept_sparsely(dense), SparseGrid.of_dense(dense.density[:1000])
+    assert Grid(sparse).occupancy.cell == 8 > short.cell
+    medium, sun = Medium(20.0, 0.9, 0.6), [Sun((0.4, 0.3, 0.8))]
+    compare(rendered([(sparse, medium)], sun), rendered([(dense, medium)], sun))
+
+
 @pytest.mark.slow
 def test_emissive_and_overlapping_volumes_equal_dense_ones():
     glow = np.stack([puffs(seed) for seed in (3, 4, 5)], axis=3)

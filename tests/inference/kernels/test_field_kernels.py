@@ -299,7 +299,7 @@ def test_mean_density_of_cells(placed, sparse, monkeypatch):
         linear = index_from_world[:3, :3] @ cube.rotation * cube.edge / 48
         offset = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] + linear @ np.full(3, 0.5 - 24)
         grid = DenseGrid(density)
-        occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.CELL, grid.cells_first)
+        occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.cell, grid.cells_first)
         expected = resampled_values(grid, 1, occupancy, Placement(linear, offset, INNER @ linear.T), (48,) * 3)
     else:
         expected = mean_cells(density, volume, cube, 48)

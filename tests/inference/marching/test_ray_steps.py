@@ -25,7 +25,7 @@ def test_empty_blocks_have_no_density_within_reach(storage):
     grid = storage(sparse())
     random = np.random.default_rng(1)
     index = random.uniform(-3.0, np.array(grid.shape) + 4.0, (4000, 3)).T.astype(np.float32)
-    occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.CELL, grid.cells_first)
+    occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.cell, grid.cells_first)
     near, peak = occupancy.near(index), occupancy.peak(index)
     assert 0.1 < near.mean() < 0.9
     assert np.all(peak[~near] == 0.0)
