@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a large, mostly empty volume file costs to read and render: makes docs/tables/speed-sparse.csv.
 
-    python -m benchmarks.cost.sparse [--cells 1024] [--size 1920 1080] [--share 0.05] [--no-page]
+    python -m benchmarks.cost.sparse [--cells 2048] [--size 1920 1080] [--share 0.01] [--no-page]
 
 Writes a .vdb file of a cloud of cells^3 voxels, a given share of which is above 0, and reads and renders it in Blender
 in a new process. Memory is that of this process and of those that it starts: the peak of samples taken every few
@@ -176,9 +176,9 @@ def main():
     parser = argparse.ArgumentParser(
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--cells", type=int, default=1024)
+    parser.add_argument("--cells", type=int, default=2048)
     parser.add_argument("--size", type=int, nargs=2, default=(1920, 1080))
-    parser.add_argument("--share", type=float, default=0.05)
+    parser.add_argument("--share", type=float, default=0.01)
     parser.add_argument("--no-page", action="store_true", help="print only")
     parser.add_argument("--write", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
