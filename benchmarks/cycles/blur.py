@@ -19,8 +19,8 @@ import bpy
 from ..demo import scene as demo_scene
 from ..support.data import volume_file
 from ..support.extension import extension
+from ..support.ladder import Timed, cycles_pictures, print_rows, rows
 from ..support.provenance import made_by
-from .ladder import Timed, cycles_pictures, print_rows, rows
 
 PROGRAM = "benchmarks.cycles.blur"
 SMOKE, OPTICAL_DEPTH, FRAME = "openvdb_smoke.vdb", 4.0, 10

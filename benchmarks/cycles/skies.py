@@ -24,8 +24,8 @@ from training.procedural.volumes import make_volume
 
 from ..demo import scene as demo_scene
 from ..support.extension import extension
+from ..support.ladder import Timed, cycles_pictures, print_rows, rows
 from ..support.provenance import made_by
-from .ladder import Timed, cycles_pictures, print_rows, rows
 
 PROGRAM = "benchmarks.cycles.skies"
 VOXELS, OPTICAL_DEPTH, ANISOTROPY, SAMPLES = 96, 20.0, 0.5, (4, 16, 64)
