@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Error and processor seconds of a sky of many clouds, of the layer and of Cycles.
 
-    python -m benchmarks.cycles.skies [--counts 1 64] [--size 256 144] [--samples 256]
+    python -m benchmarks.cycles.skies [--counts 1 64] [--size 192 108] [--samples 128]
 
 So many linked duplicates of one procedural cloud stand beside each other in a sun and a grey World, each with an angle
 of its own. Errors are relative RMSE inside the picture of the clouds, against two independent halves of a reference,
@@ -82,8 +82,8 @@ def main(options: list[str] | None = None) -> None:
         prog=f"python -m {PROGRAM}", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 64], help="clouds")
-    parser.add_argument("--size", type=int, nargs=2, default=(256, 144))
-    parser.add_argument("--samples", type=int, default=256, help="of each half of the references")
+    parser.add_argument("--size", type=int, nargs=2, default=(192, 108))
+    parser.add_argument("--samples", type=int, default=128, help="of each half of the references")
     arguments = parser.parse_args(options)
     extension()
     load_openvdb = importlib.import_module("mrpnn.mrpnn_addon.vdb.openvdb_module").load_openvdb

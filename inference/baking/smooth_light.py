@@ -28,14 +28,16 @@ LEAST, MOST = np.float32(0.3), np.float32(2.0)
 # Share of the voxels of the finest lattice that is predicted besides those of coarser ones, about: for so many voxels
 # along an edge of a cube. Light varies less from voxel to voxel where there are more.
 FINEST_SHARE, EDGE, FINEST_POWER, FINEST_LIMITS = 0.1, 70.0, -2.4, (0.08, 0.8)
+# Share of the voxels that the picture shows, and so of the predictions behind the first lattice, about.
+SEEN = 0.7
 
 
-def expected_predictions(voxels: float, strides: Sequence[int]) -> float:
-    """How many of so many wanted voxels `radiance_in_voxels` predicts, about."""
+def expected_predictions(voxels: float, strides: Sequence[int], seen: float = SEEN) -> float:
+    """How many of so many wanted voxels `radiance_in_voxels` predicts, about; seen: share that the picture shows."""
     if voxels <= FEW or len(strides) == 1:
         return voxels
     finest = float(np.clip(FINEST_SHARE * (voxels ** (1.0 / 3.0) / EDGE) ** FINEST_POWER, *FINEST_LIMITS))
-    return voxels * (finest + sum(stride**-3 for stride in strides if stride > 1))
+    return voxels * (strides[0] ** -3 + seen * (finest + sum(stride**-3 for stride in strides[1:-1])))
 
 
 def importance_of(thickness: np.ndarray, transmittance: np.ndarray) -> np.ndarray:

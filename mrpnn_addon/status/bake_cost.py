@@ -26,6 +26,8 @@ BAKE = "bake"
 VOLUME, CELL, VOXEL = 0.1, 5.0e-8, 8.0e-7
 # Of the coarse transport and lattices of each light and group, and of surfaces.
 FIELD_SUN, FIELD_LAMP, FIELD_WORLD, SURFACES = 0.55, 1.0, 0.5, 1.7
+# Predictions of a World beside suns or lamps, over those of a World alone.
+FAINT = 0.35
 # Of each prediction of a sun, a lamp and the World, and of each point of a coarse grid and direction.
 POINT_SUN, POINT_LAMP, POINT_WORLD, GRID_POINT = 1.3e-5, 2.0e-5, 2.5e-5, 2.5e-7
 
@@ -71,9 +73,13 @@ def bake_work(
         voxels = cells * (EVALUATED if box.filled is None else box.filled)
         found.cells += cells
         found.voxels += voxels
-        found.points += expected_predictions(voxels, STRIDES)
-        # What surfaces throw back is not smooth.
-        found.sky_points += expected_predictions(voxels, STRIDES if surfaces else SKY_STRIDES)
+        if surfaces:
+            # What they throw back is not smooth.
+            found.points += expected_predictions(voxels, STRIDES, 1.0)
+            found.sky_points += expected_predictions(voxels, STRIDES, 1.0)
+        else:
+            found.points += expected_predictions(voxels, STRIDES)
+            found.sky_points += (FAINT if any(lights[:2]) else 1.0) * expected_predictions(voxels, SKY_STRIDES)
         if directional:
             work = expected_work(voxels, longest, thickness, len(DIRECTIONS), len(ANCHORS) - 1)
             found.points += work
