@@ -211,8 +211,7 @@ class ChannelPass:
 
     media: of each volume, with its extinction in these channels. march: marches camera rays through the media.
     scattering: as in MarchOptions. near: lamps near volumes, whose light needs more depth samples. most_detail: as in
-    MarchOptions. groups, volumes: numbers of those that rays are marched through. whole: the pass through all of them,
-    if these are not all.
+    MarchOptions. groups, volumes: numbers of those that rays are marched through.
     """
 
     channels: Channels
@@ -223,14 +222,13 @@ class ChannelPass:
     most_detail: int = 1
     groups: Sequence[int] = ()
     volumes: Sequence[int] = ()
-    whole: "ChannelPass | None" = None
 
     def through(self, groups: Sequence[int]) -> "ChannelPass":
         """The same through some groups of volumes alone, by number; in the light of lamps through all of them."""
         if self.march.has_lamps or len(groups) == len(self.groups):
             return self
         march = self.march.through(groups)
-        return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes, whole=self)
+        return replace(self, media=march.media, march=march, groups=groups, volumes=march.volumes)
 
     @property
     def holdouts(self) -> list[int]:

@@ -108,17 +108,11 @@ class DepthSamples:
         ray = np.concatenate([new[start + part.ray] for start, part in zip(first, parts)])
         order = np.argsort(ray, kind="stable")
         # Where the albedo of one part alone varies, the others scatter in proportion to their extinction.
-        varying = next((part.scattering for part in parts if part.scattering is not None), None)
-        scattering = None
-        if varying is not None:
-            scattering = side_by_side(
-                [
-                    np.repeat(part.fraction[..., None], varying.shape[2], axis=2)
-                    if part.scattering is None
-                    else part.scattering
-                    for part in parts
-                ]
-            )[order]
+        channels = max(0 if part.scattering is None else part.scattering.shape[2] for part in parts)
+        scattering = [
+            np.repeat(part.fraction[..., None], channels, axis=2) if part.scattering is None else part.scattering
+            for part in parts
+        ]
 
         def of_rays(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
             return None if arrays[0] is None else np.concatenate([array for array in arrays if array is not None])[rays]
@@ -140,7 +134,7 @@ class DepthSamples:
             held_groups=side_by_side([part.held_groups for part in parts], -1)[order],
             features=of_samples([part.features for part in parts]),
             lamp_features=of_samples([part.lamp_features for part in parts]),
-            scattering=scattering,
+            scattering=side_by_side(scattering)[order] if channels else None,
             detail=of_rays([part.detail for part in parts]),
             volumes=frozenset().union(*(part.volumes for part in parts)),
             rays=parts[0].rays,
