@@ -101,9 +101,13 @@ def test_a_thousand_instances_need_little_more_memory_than_one():
         make_plan(apart, lights, VIEW, settings)
 
 
-def test_volumes_of_other_tiles_change_nothing():
-    """Each tile is marched through the volumes that matter to it, in their shadows."""
+@pytest.mark.parametrize("coloured", [False, True])
+def test_volumes_of_other_tiles_change_nothing(coloured):
+    """Each tile is marched through the volumes that matter to it, in their shadows; the albedo of one may vary."""
     volumes = [(at((1.2 * n - 3.6, 0.3 * (n % 2), 0.8 * (n % 3)), 0.4 * n, 0.9), MEDIUM) for n in range(7)]
+    if coloured:
+        albedo = np.random.default_rng(3).uniform(0.2, 0.9, (*volumes[0][0].density.shape, 3)).astype(np.float32)
+        volumes[0] = volumes[0][0], replace(MEDIUM, albedo=albedo)
     lights, view = [Sun((0.9, 0.1, 0.3), 2.0), SKY], camera(12.0, resolution=(150, 40), fov=0.8)
     settings = Settings(threads=1, optimizations=Settings().optimizations - {"missed_pixels"})
     each, together = (render(volumes, lights, view, one) for one in (Settings(threads=1), settings))
