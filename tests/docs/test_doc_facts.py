@@ -214,7 +214,7 @@ FACTS = [
     ),
     (
         "docs/understand/method-details.md",
-        r"scatters more than (\d+) times counts as predicted",
+        r"scatters more than (\d+) times counts as the network predicts",
         "inference.marching.light_paths",
         ("COLLISIONS",),
     ),
@@ -272,7 +272,7 @@ FACTS = [
     ),
     (
         "docs/understand/method-details.md",
-        r"half-space, ([\d.]+) per unit irradiance",
+        r"half-space without absorption, ([\d.]+) per unit irradiance",
         "inference.network.predictor",
         ("MAX_FLUENCE",),
     ),
