@@ -54,9 +54,9 @@ The first command makes one scene and its picture, in `build/gallery`. The secon
 
 ## The pictures
 
-The smaller pictures compare with Cycles with 1024 bounces, denoised, in about the same processor seconds. Cycles has at
-least one sample per pixel, even where that takes longer. Errors are relative RMSE over the whole picture, in
-scene-linear values, against a longer render by Cycles without denoising.
+Below each picture is a smaller one beside Cycles: 1024 bounces, denoised, after about the same processor seconds. Cycles
+has at least one sample per pixel, even where that takes longer. Where an entry states errors, they are relative RMSE over
+the whole picture, against a longer render by Cycles without denoising.
 """
 
 
@@ -81,12 +81,12 @@ def text() -> str:
         pixels = row["pixels"].replace("x", "×")
         said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row[PICTURE_SECONDS]}"
         parts.append(
-            f"### {entry.title}\n\n![{entry.title}](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
+            f"### {entry.title}\n\n![{entry.title}, as rendered](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
         )
         if row["seconds"]:
             samples = f"{row[SAMPLES]} sample"
             samples += "" if samples.startswith("1 ") else "s"
-            alt = f"{entry.title}: this extension, and Cycles with {samples}"
+            alt = f"{entry.title}: by this extension at the left, by Cycles with {samples} at the right"
             said = f"Cycles has {samples} per pixel here."
             if row.get("error"):
                 own, other = (row[column].partition(" (")[0] for column in ("error", "Cycles' error"))
