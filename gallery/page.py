@@ -54,9 +54,9 @@ The first command makes one scene and its picture, in `build/gallery`. The secon
 
 ## The pictures
 
-Below each picture is a smaller one beside Cycles: 1024 bounces, denoised, after about the same processor seconds. Cycles
-has at least one sample per pixel, even where that takes longer. Where an entry states errors, they are relative RMSE over
-the whole picture, against a longer render by Cycles without denoising.
+Below each picture is a smaller one beside Cycles: 1024 bounces, denoised, after about the same processor seconds.
+Cycles has at least one sample per pixel, even where that takes longer. Where an entry states errors, they are relative
+RMSE over the whole picture, against a longer render by Cycles without denoising.
 """
 
 
@@ -80,9 +80,8 @@ def text() -> str:
         name, entry = row["scene"], SCENES[row["scene"]]
         pixels = row["pixels"].replace("x", "×")
         said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row[PICTURE_SECONDS]}"
-        parts.append(
-            f"### {entry.title}\n\n![{entry.title}, as rendered](../images/gallery/{name}.jpg)\n\n{said} processor seconds.\n"
-        )
+        picture = f"![{entry.title}, as rendered](../images/gallery/{name}.jpg)"
+        parts.append(f"### {entry.title}\n\n{picture}\n\n{said} processor seconds.\n")
         if row["seconds"]:
             samples = f"{row[SAMPLES]} sample"
             samples += "" if samples.startswith("1 ") else "s"

@@ -65,7 +65,7 @@ class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
     work, doing = "bake", "baking"
 
     everything: BoolProperty(
-        name="Bake All", default=False, options={"SKIP_SAVE"}, description="Also volumes that have not changed"
+        name="Bake All", default=False, options={"SKIP_SAVE"}, description="Bake unchanged volumes, too"
     )
 
     _loading: SceneLoading | None = None
@@ -289,8 +289,8 @@ def learn_from_bake(baked: BakedScene, expected: BakeForecast | None) -> None:
 
 def changed_settings(scene: "bpy.types.Scene") -> str:
     """What a bake has changed in the settings of the scene."""
-    marching = " and volumes biased (ray marching)" if chooses_ray_marching(scene) else ""
-    return f"volume bounces are 0 now{marching}, for the whole scene"
+    marching = " and Volumes > Biased is on" if chooses_ray_marching(scene) else ""
+    return f"Light Paths > Max Bounces > Volume is 0 now{marching}, for the whole scene"
 
 
 def light_frames(frames: list[int]) -> list[int]:

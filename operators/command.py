@@ -75,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         help="1-10,15 or 1..10, or every third as 1-10:3; the file's current frame without it",
     )
     bake.add_argument(
-        "--folder", default=FOLDER, metavar="FOLDER", help="of the .vdb files; // is the .blend file's folder"
+        "--folder", default=FOLDER, metavar="FOLDER", help="folder of the .vdb files; // is the .blend file's folder"
     )
     bake.add_argument("--save", metavar="FILE", help=".blend file to write that shows the light")
     bake.add_argument("--fast", action="store_true", help="with --save: also apply Fast Cycles Settings to that file")
@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
         "--seconds", type=_number, default=0.0, metavar="N", help="time limit for Cycles, roughly; 0: none"
     )
     compare.add_argument(
-        "--ladder", type=_whole, default=64, metavar="N", help="highest number of samples per pixel of Cycles; 0: none"
+        "--ladder", type=_whole, default=64, metavar="N", help="most samples per pixel of Cycles; 0: none"
     )
     compare.add_argument("--no-denoise", action="store_true", help="do not measure Cycles with OpenImageDenoise")
     compare.add_argument(
@@ -104,18 +104,20 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="measure Cycles as artists set it, too: few bounces, clamped, denoised, adaptive, guided",
     )
-    compare.add_argument("--all-models", action="store_true", help="every network, not only the scene's")
+    compare.add_argument("--all-models", action="store_true", help="measure every network, not only the scene's")
     compare.add_argument("--reference", metavar="FILE", help=".exr of the same view, instead of rendering it")
     compare.add_argument(
         "--folder",
         default=REPORT_FOLDER,
         metavar="FOLDER",
-        help="of the report and of images from which another run continues",
+        help="folder of the report and of finished images, from which another run continues",
     )
     compare.add_argument(
-        "--bounces", type=_positive, default=1024, metavar="N", help="most scattering events along a path"
+        "--bounces", type=_positive, default=1024, metavar="N", help="volume bounces of Cycles, at most"
     )
-    compare.add_argument("--scale", type=_positive, default=25, metavar="PERCENT", help="percent of the resolution")
+    compare.add_argument(
+        "--scale", type=_positive, default=25, metavar="PERCENT", help="size, in percent of the resolution"
+    )
 
     report = actions.add_parser("report", help="describe what a render would do, without rendering")
     for action in (render, bake, flipbook, report):
@@ -133,8 +135,7 @@ def _parser() -> argparse.ArgumentParser:
         action.add_argument(
             "--json",
             metavar="FILE",
-            help="file for everything known at the end, also after an error; of each frame the report, with its "
-            "expected error",
+            help="file for the results, also after an error: the report of each frame, with its expected error",
         )
         action.add_argument(
             "--progress",

@@ -36,7 +36,7 @@ def add_options(flipbook: argparse.ArgumentParser) -> None:
         metavar="LIST",
         help="1-10,15 or 1..10, or every third as 1-10:3; without it, the scene's, spread evenly over the tiles",
     )
-    flipbook.add_argument("--bits", type=int, choices=(8, 16), help="of each channel in PNG files")
+    flipbook.add_argument("--bits", type=int, choices=(8, 16), help="bits of each channel in PNG files")
     flipbook.add_argument("--normalize", action="store_true", help="scale the brightest texel of the light maps to 1")
     for name, values, what in (
         ("layout", ("unity", "right-left-top"), "which light map each channel holds"),

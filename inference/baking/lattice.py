@@ -84,7 +84,7 @@ def make_lattice(volume: Volume, grid: Grid, camera: Camera | None, settings: Se
     needed = float(np.prod(shape.astype(float))) * VOXEL_BYTES
     if needed > settings.memory_limit:
         raise SceneError(
-            f"{volume.name}: baking its light needs about {needed / 2**30:.1f} GiB and the limit is "
+            f"{volume.name}: baking its light needs about {needed / 2**30:.1f} GiB and the memory limit is "
             f"{settings.memory_limit / 2**30:.1f} GiB; raise the limit, or resample the volume's grids"
         )
     frame = np.eye(4)

@@ -177,4 +177,4 @@ def evaluate_adaptively(
     estimate.radiance[:, interpolated] = (mean * shown)[:, interpolated]
     total = error + CENTRE_ERROR * interpolation_error * (estimate.quantities / 3.0)
     estimate.error[interpolated] = (total * opacity)[interpolated]
-    report.count("pixels that share their neighbours' multiple scattering", interpolated.sum())
+    report.count("pixels that share their neighbors' multiple scattering", interpolated.sum())

@@ -248,8 +248,8 @@ def enclosed_warnings(lamp: LampInMedia, volumes: Sequence[tuple[Volume, Medium]
         depth = float((depths * fractions).sum())
         if depth > ENCLOSED and fractions.sum() > SURROUNDED and medium.albedo.any():
             warnings.append(
-                f"{lamp.lamp.name}: it lies deep inside {volume.name}, behind an optical depth of {depth:.2g} on "
-                "average; what little of its light comes out may be much too bright"
+                f"{lamp.lamp.name}: it lies deep inside {volume.name}, which is very dense; what little of its light "
+                "comes out may be much too bright"
             )
     return warnings
 

@@ -26,7 +26,7 @@ def fitting_volumes(
     """
     found, amount = volumes, needed(volumes)
     times, remaining = np.ones(len(volumes), int), amount
-    why = f"the render needs about {amount / 2**30:.1f} GiB and the limit is {limit / 2**30:.1f} GiB"
+    why = f"the render needs about {amount / 2**30:.1f} GiB and the memory limit is {limit / 2**30:.1f} GiB"
     while remaining > limit:
         sizes = [_size(volume) for volume, _ in found]
         if not adapts or not max(sizes, default=0):

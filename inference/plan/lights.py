@@ -204,5 +204,5 @@ def reflects_light(surfaces: Sequence[Surface], settings: Settings, planned: lis
     if not abilities(settings.model).every_light:
         left_out.append(f"light of {names}: the network {settings.model} knows suns alone")
         return False
-    planned.append(f"light of {names}, as an environment around the middle of the volumes")
+    planned.append(f"light of {names}, as light from all around the volumes")
     return True

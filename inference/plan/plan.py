@@ -310,7 +310,7 @@ def sort_lights(scene: SortedScene, sky: OpenSky | None, settings: Settings) -> 
     ]
     shared = "soft_shadows" in settings.optimizations
     predicts_lamps = settings.multiple and abilities(settings.model).every_light
-    planned += [f"{lamp.name}: shadows and single scattering from its place" for lamp in lamps]
+    planned += [f"{lamp.name}: shadows and single scattering from its own position" for lamp in lamps]
     clusters = [[[k] for k in range(len(lamps))] for _ in scene.groups]
     if "distant_lamps" in settings.optimizations and len(lamps) > 1:
         members = [[scene.volumes[v][0] for v in group] for group in scene.groups]
@@ -392,7 +392,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         left_out.append(f"{dark} suns: surfaces shadow the volumes from them completely")
     channels = _channel_groups(scene.volumes, settings)
     if len(channels) == 1:
-        left_out.append("two of three colour channels: extinction is grey")
+        left_out.append("two of three color channels: extinction is gray")
     multiple, scattered_emission = [], []
     for members in scene.members:
         directed = [*bright, *(lights.lamps if lights.predicts_lamps else ())]

@@ -178,8 +178,7 @@ class ScatteredEmission:
         if self.thickest < THICK:
             return []
         return [
-            f"{name}: the glow that it emits and scatters is approximate in a medium as dense as this; "
-            "a lower Density makes it more accurate"
+            f"{name}: very dense, so the glow that it scatters itself is approximate; lower Density if it looks wrong"
         ]
 
     def scattered(

@@ -79,7 +79,7 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
     names, known = volume_names(description), baked_keys(scene)
     sequences = {item.name for item in state.volumes if not item.key}
     found = [
-        f'the baked light of "{name}" is out of date; Bake Light'
+        f'the baked light of "{name}" is out of date; press Bake Light'
         for name, key in zip(names, light_keys(description, settings))
         if known.get(name) != key and name not in sequences
     ]

@@ -36,7 +36,7 @@ def set_fast(scene: "bpy.types.Scene", volumes_alone: bool) -> str:
     set_cycles(scene, **found)
     words = []
     if "volume_step_rate" in found:
-        words.append(f"step rate {STEP_RATE:g}")
+        words.append(f"Step Rate Render {STEP_RATE:g}")
     if "samples" in found:
         words.append("1 sample")
     words.append("denoised" if "use_denoising" in found else "not denoised, which this Blender cannot")

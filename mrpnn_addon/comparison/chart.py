@@ -72,7 +72,7 @@ def make_chart(rungs: list[Rung], clock: str = "seconds") -> Chart:
             usual = rung.method in CHOICES and rung.method not in LADDERS
             series.setdefault(USUAL_SERIES if usual else rung.method, []).append(rung)
     if not series:
-        raise ValueError("no rung has an error distinguishable from 0")
+        raise ValueError("no image has an error that can be told from 0")
     for found in series.values():
         found.sort(key=lambda rung: rung.samples)
     shown = [rung for found in series.values() for rung in found]

@@ -131,7 +131,7 @@ def _facts(run: "ComparisonRun", comparison: Comparison) -> dict:
         "alpha bias": f"{comparison.alpha_bias.value:+.2%}",
         "paper's metric": f"{comparison.paper:.2f} (100 × RMSE of tone-mapped luma, whole image)",
         "extrapolated": "seconds from the measured cost per sample and 1/√N of the measured noise; at least: beyond "
-        "the denoised ladder, as if its error still fell with 1/√N",
+        "the largest number of denoised samples, as if the error still fell with 1/√N",
     }
 
 

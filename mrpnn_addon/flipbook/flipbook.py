@@ -58,7 +58,7 @@ class Flipbook:
                 self.warn(text.replace("is an empty picture", "is an empty tile"))
         for volume, medium in scene.volumes:
             if is_coloured(medium):
-                self.warn(f'volume "{volume.name}" is coloured, but light maps are grey: tint it in the game engine')
+                self.warn(f'volume "{volume.name}" is colored, but light maps are gray: tint it in the game engine')
         tile = None
         if scene.volumes:
             try:

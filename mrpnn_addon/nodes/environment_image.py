@@ -45,7 +45,7 @@ def require_readable(image: "bpy.types.Image | None") -> None:
         raise ValueError(f"an image of source {image.source}")
     space = image.colorspace_settings.name
     if space not in REC709 | AS_THEY_ARE | {"sRGB"} and not image.is_float:
-        raise ValueError(f"colour space {space}")
+        raise ValueError(f"color space {space}")
     stored = image.has_data or image.packed_file is not None or image.source == "GENERATED"
     if not stored and not os.path.isfile(bpy.path.abspath(image.filepath, library=image.library)):
         raise ValueError("the image is missing or empty")

@@ -332,13 +332,11 @@ def _phase(
         amount = np.maximum(scattered, 0.0).mean(axis=1)
         amount = np.broadcast_to(amount if amount.any() else 1.0, max(map(len, found)))
         found = [np.average(np.broadcast_to(value[:, 0], len(amount)), weights=amount).reshape(1, 1) for value in found]
-        shading.notes.append(
-            f'the phase function of node "{node.name}" varies in space; its mean over what the voxels scatter is used'
-        )
+        shading.notes.append(f'the phase function of node "{node.name}" varies in space; its mean is used')
     phase = phase_function(kind, *(float(value[0, 0]) for value in found))
     if kind != "HENYEY_GREENSTEIN":
         shading.notes.append(
             f'node "{node.name}" has phase function {kind.replace("_", "-").title()}; multiple scattering uses '
-            f"Henyey-Greenstein with the same mean cosine, {phase.mean_cosine():.3f}"
+            f"Henyey-Greenstein with an Anisotropy of {phase.mean_cosine():.3f}"
         )
     return phase, varies

@@ -139,9 +139,9 @@ def _image(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) 
     except ValueError as problem:
         raise unsupported(node, str(problem)) from None
     if node.projection == "BOX":
-        raise unsupported(node, "projection BOX, which needs a surface")
+        raise unsupported(node, "the projection Box, which needs a surface,")
     if output.identifier == "Color" and (pixels.pixels[..., 3] < 1.0).any():
-        raise unsupported(node, "the colour of an image that is transparent somewhere")
+        raise unsupported(node, "the color of an image with transparent pixels")
     uv = image.project(texture_vector(values, node, groups), node.projection)
     found = image.sample(pixels, uv, node.interpolation, node.extension)
     return found[:, :3] if output.identifier == "Color" else found[:, 3:]
@@ -150,7 +150,7 @@ def _image(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) 
 def _environment(values: "NodeEvaluator", node: Node, output: Socket, groups: Groups) -> np.ndarray:
     images = getattr(values.points, "images", None)
     if images is None:
-        raise unsupported(node, "an image here")
+        raise unsupported(node, "an environment image outside of a World")
     if node.projection != "EQUIRECTANGULAR" or output.identifier != "Color":
         raise unsupported(node, f"{output.name} in projection {node.projection}")
     if values.is_linked(node, "Vector", groups):

@@ -69,7 +69,9 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
         if not all(size) or not np.cross(matrix[:3, 0], matrix[:3, 1]).any():
             return None, [*warnings, f"{name} has no area and is left out"]
         if _is_sheared(matrix):
-            warnings.append(f"{name} is sheared, and Cycles lights it otherwise; apply the scale of its parent")
+            warnings.append(
+                f"{name} is sheared, which changes its brightness in Cycles but not here; apply the scale of its parent"
+            )
         # Only its direction counts; a lamp may be flat.
         matrix[:3, 2] = _across(matrix)
         found = AreaLight(matrix, lamp.shape.lower(), size, np.ones(3), lamp.spread, name)

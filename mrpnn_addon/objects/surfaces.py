@@ -155,9 +155,9 @@ def surface_warnings(surfaces: list[OpaqueMesh], panorama: bool, composited: boo
     notes = sorted(set().union(*(surface.colour.notes for surface in surfaces)))
     without = f", without {_and(notes)}" if notes else ""
     if surfaces:
-        does, ends = ("hides, shades and lights", "as a matt surface of its mean colour"), "renders it, too"
+        does, ends = ("hides, shades and lights", "as a matte surface of its mean color"), "renders it, too"
         if len(surfaces) > 1:
-            does, ends = ("hide, shade and light", "as matt surfaces of their mean colours"), "renders them, too"
+            does, ends = ("hide, shade and light", "as matte surfaces of their mean colors"), "renders them, too"
         if not composited:
             found.append(f"{_names(surfaces)} only {does[0]} volumes, {does[1]}{without}; Composite over Cycles {ends}")
         elif notes:

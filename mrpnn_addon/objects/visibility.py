@@ -145,7 +145,7 @@ def hidden_from_camera(shown: VisibleObject, view_layer: "bpy.types.ViewLayer") 
 def ignored_visibility(shown: VisibleObject) -> list[str]:
     """Ray visibility settings of a volume that have no effect here."""
     return [
-        f"is hidden from {rays.replace('_', ' ')} rays, which is not respected"
+        f"is hidden from {rays.replace('_', ' ')} rays, which has no effect"
         for rays in ("shadow", "volume_scatter")
         if not shown.visible_to(rays)
     ]

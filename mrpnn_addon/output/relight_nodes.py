@@ -77,7 +77,7 @@ def _group(names: Sequence[str]) -> Any:
         strength.default_value, strength.min_value = 1.0, 0.0
         strength.description = f"Factor of the strength of {name}"
         colour = sockets.new_socket(f"{name} {COLOUR}", in_out="INPUT", socket_type="NodeSocketColor")
-        colour.default_value, colour.description = (1.0, 1.0, 1.0, 1.0), f"Factor of the colour of {name}"
+        colour.default_value, colour.description = (1.0, 1.0, 1.0, 1.0), f"Factor of the color of {name}"
     given, found = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
     shown, place = given.outputs["Image"], 1.0
     for name in names:

@@ -22,8 +22,8 @@ def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
         media = [pairs[v][1] for v in group]
         if np.ptp([medium.anisotropy for medium in media]) > COSINE:
             found.append(
-                f"volumes {_names(pairs, group)} overlap; multiple scattering is predicted in one medium "
-                "with their mean anisotropy"
+                f"volumes {_names(pairs, group)} overlap; multiple scattering uses their mean "
+                "Anisotropy for all of them"
             )
     if apart:
         more = f", and {len(apart) - 1} more pairs" if len(apart) > 1 else ""

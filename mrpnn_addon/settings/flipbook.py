@@ -66,8 +66,8 @@ class MRPNN_PG_flipbook(bpy.types.PropertyGroup):
         min=0.0,
         max=math.radians(40.0),
         subtype="ANGLE",
-        description="Angular diameter of the six suns. Softer ones suit smoke of high Anisotropy: light from "
-        "between them errs less",
+        description="Angular diameter of the six suns. With a high Anisotropy, larger suns lower the error of light "
+        "from between them",
     )
     columns: IntProperty(name="Columns", default=8, min=1, max=64, description="Tiles in each row of the textures")
     rows: IntProperty(name="Rows", default=8, min=1, max=64, description="Rows of tiles in the textures")

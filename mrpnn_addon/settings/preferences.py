@@ -41,8 +41,8 @@ class PreferenceProperties:
         default=DEFAULT_MEMORY,
         min=1,
         max=1024,
-        description="Memory that a render may use, in GiB, for scenes that set no limit. A render that needs more "
-        "loses resolution, or is refused",
+        description="Memory that a render may use, in GiB, for scenes that set no limit. Where it needs more, the "
+        "largest volumes lose resolution, or the render is refused",
     )
     model: EnumProperty(
         name="Network",

@@ -21,7 +21,7 @@ RELATIVE_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0)
 # Depth samples of each preset.
 PRESETS = {"PREVIEW": 1, "DRAFT": 4, "FINAL": 16}
 _PRESET_ITEMS = [
-    ("PREVIEW", "Preview", "1 depth sample: fastest; shape and single scattering are final"),
+    ("PREVIEW", "Preview", "1 depth sample: fastest. Shapes are final, multiple scattering is rough"),
     ("DRAFT", "Draft", "4 depth samples: little sampling error"),
     ("FINAL", "Final", "16 depth samples: no visible sampling error, except in the densest clouds"),
     ("CUSTOM", "Custom", "Another number of depth samples"),
@@ -83,7 +83,7 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     viewport_blur: BoolProperty(
         name="Blur in Viewport",
         default=False,
-        description="Show depth of field in Rendered shading, where a viewport looks through the camera",
+        description="Show depth of field in Rendered shading, in viewports that look through the camera",
     )
     model: EnumProperty(
         name="Network",
@@ -113,8 +113,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
         default=0,
         min=0,
         max=1024,
-        description="Memory that a render may use, in GiB. A render that needs more loses resolution, or is "
-        "refused. 0 uses the limit in the preferences",
+        description="Memory that a render may use, in GiB. Where it needs more, the largest volumes lose resolution, "
+        "or the render is refused. 0 uses the limit in the preferences",
     )
     use_exr: BoolProperty(
         name="Write EXR",
@@ -132,8 +132,8 @@ class MRPNN_PG_scene(bpy.types.PropertyGroup):
     use_deep: BoolProperty(
         name="Deep EXR",
         default=False,
-        description="Write samples in depth, too: a deep OpenEXR file beside the picture, with _deep after its name. "
-        "A compositor of deep images merges it with other renders at any depth",
+        description="Also write a deep OpenEXR file beside the picture, with _deep after its name. Deep compositing "
+        "puts other renders into the volumes, at any depth",
     )
 
     def settings(self) -> Settings:

@@ -25,12 +25,13 @@ class MRPNN_PG_view_layer(bpy.types.PropertyGroup):
     )
     use_pass_median_depth: BoolProperty(
         name="Median Depth",
-        description="Distance along the ray at which half of the opacity of the volumes is in front. Position is there",
+        description="Distance along the ray at which half of the opacity of the volumes is in front. The pass Position "
+        "holds the point there",
     )
     use_pass_lights: BoolProperty(
         name="Each Light",
-        description="A pass for the World and for each light that is in no light group. Every pass is rendered by "
-        "itself",
+        description="A pass for the World and for each light that is in no light group. Each pass adds to the render "
+        "time",
     )
 
 

@@ -178,8 +178,8 @@ def shade(material: VolumeMaterial, domain: VoxelDomain, check: Callable[[], Non
         emission, glow, power = glow, None, BLACKBODY_POWER
     if len(phases) > 1 and len(shading.closures) > 1:
         notes = notes + [
-            "phase functions of several shaders are mixed in the same shares everywhere, and multiple "
-            "scattering uses Henyey-Greenstein with their mean cosine"
+            "several shaders have different phase functions; their mix is the same everywhere, and multiple "
+            "scattering uses Henyey-Greenstein with their mean Anisotropy"
         ]
     phases = {phase: amount for phase, amount in phases.items() if amount > 0.0}
     phase = PhaseFunction.mixed(phases) if phases else phase_function("HENYEY_GREENSTEIN", 0.0)

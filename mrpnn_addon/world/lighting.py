@@ -95,9 +95,9 @@ def surface_light_warnings(depsgraph: "bpy.types.Depsgraph") -> list[str]:
     if visibility is None or visibility.diffuse == visibility.scatter:
         return []
     if visibility.diffuse:
-        ignored = "volume scatter rays; nor do surfaces throw its light into volumes"
+        ignored = "volume scatter rays; surfaces do not reflect its light into volumes either"
     else:
-        ignored = "diffuse rays, which is not respected: surfaces throw its light into volumes"
+        ignored = "diffuse rays, which has no effect: surfaces reflect its light into volumes"
     return [f'World "{world.name}" is hidden from {ignored}']
 
 

@@ -98,11 +98,27 @@ def test_sentences_of_the_interface_are_short(addon):
     assert {name: sentences for name, sentences in found.items() if sentences} == {}
 
 
-def test_the_interface_has_blenders_spelling(addon):
-    british = re.compile(r"colour|\bgrey|\bcentre|\bmetre|neighbour|behaviour|[a-z]ise\b|[a-z]isation", re.IGNORECASE)
+def british(text):
+    """Words of a text that Blender spells the American way."""
     likewise = re.compile(r"noise|precise|otherwise|likewise|raise|exercise|rise|wise", re.IGNORECASE)
-    found = {name: british.findall(likewise.sub("", text)) for name, text in texts_of_the_interface(addon).items()}
+    spelling = r"colour|\bgrey|\bcentre|\bmetre|\bmatt\b|neighbour|behaviour|[a-z]ise\b|[a-z]isation"
+    return re.findall(spelling, likewise.sub("", text), re.IGNORECASE)
+
+
+def test_the_interface_has_blenders_spelling(addon):
+    found = {name: british(text) for name, text in texts_of_the_interface(addon).items()}
     assert {name: words for name, words in found.items() if words} == {}
+
+
+@pytest.mark.parametrize("folder", ["inference", "evaluation", "mrpnn_addon", "operators", "panels"])
+def test_messages_have_blenders_spelling(folder):
+    found = {}
+    for path in (ROOT / folder).rglob("*.py"):
+        for line, text in literals(ast.parse(path.read_text())):
+            # A single word is a key.
+            if " " in text and (spelled := british(text)):
+                found[f"{path.relative_to(ROOT)}:{line}"] = spelled
+    assert found == {}
 
 
 @pytest.mark.parametrize("folder", ["inference", "evaluation", "mrpnn_addon", "operators", "panels"])

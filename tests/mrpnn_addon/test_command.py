@@ -150,7 +150,7 @@ def test_optimizations_have_the_flag_of_earlier_versions_too(addon, option):
         (["render", "--output", "x.exr", "--frames", "9-3"], "backwards"),
         (["render", "--output", "x.exr", "--camera", "Sun"], "there are: Camera"),
         (["render", "--output", "x.exr", "--view-layer", "Fog"], "there are: ViewLayer"),
-        (["render", "--output", "x.exr", "--memory-limit", "0.001"], "the limit is 0.0 GiB"),
+        (["render", "--output", "x.exr", "--memory-limit", "0.001"], "the memory limit is 0.0 GiB"),
         (["compare", "--samples", "0"], "not positive"),
         (["report", "--depth-samples", "1e9"], "'1e9' is not a whole number"),
         (["compare", "--seconds", "soon"], "'soon' is not a number"),

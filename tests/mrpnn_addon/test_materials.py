@@ -298,7 +298,7 @@ def test_phase_functions_equal_those_of_cycles(addon, scene, box, tmp_path, phas
         assert layer.single[..., 0].mean() == pytest.approx(seen[-1], rel=0.06)
     assert seen[0] / seen[1] == pytest.approx(density(math.cos(0.3)) / density(math.cos(2.4)), rel=0.06)
     assert described.volumes[0][1].anisotropy == pytest.approx(mean)
-    assert any(f"{mean:.3f}" in warning and "mean cosine" in warning for warning in described.warnings)
+    assert any(f"{mean:.3f}" in warning and "an Anisotropy of" in warning for warning in described.warnings)
 
 
 def link_layer_weight(node):

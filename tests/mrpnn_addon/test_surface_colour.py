@@ -42,7 +42,7 @@ def read(addon):
 def test_no_material_is_grey(addon, mesh):
     surface, warning = read(addon)
     assert surface.reflectance == pytest.approx(0.8) and not surface.emission.any()
-    assert "as a matt surface of its mean colour; Composite" in warning
+    assert "as a matte surface of its mean color; Composite" in warning
 
 
 def test_diffuse_and_principled_throw_back_their_colour(addon, mesh):

@@ -506,5 +506,5 @@ def test_scenes_that_cannot_be_baked_are_refused():
         bake([], [SUN])
     with pytest.raises(SceneError, match="box: the density grid is zero everywhere"):
         bake([(box(density=0.0), MEDIUM)], [SUN])
-    with pytest.raises(SceneError, match="needs about .* GiB and the limit is 0.4 GiB"):
+    with pytest.raises(SceneError, match="needs about .* GiB and the memory limit is 0.4 GiB"):
         bake([(cloud(voxels=256), MEDIUM)], [SUN], settings=Settings(memory_limit=400 << 20))

@@ -81,7 +81,7 @@ def test_problems_are_errors_with_a_message(addon, scene, cloud, tmp_path):
         bpy.ops.mrpnn.render(filepath="//x.exr")
     scene.render.resolution_x = scene.render.resolution_y = 4096
     scene.mrpnn.memory_limit = 1
-    with pytest.raises(RuntimeError, match="the limit is 1.0 GiB"):
+    with pytest.raises(RuntimeError, match="the memory limit is 1.0 GiB"):
         bpy.ops.mrpnn.render(filepath=str(tmp_path / "x.exr"))
     cloud.data.filepath = str(tmp_path / "gone.vdb")
     with pytest.raises(RuntimeError, match='"Cloud": file not found'):

@@ -162,7 +162,7 @@ def test_approximations_where_volumes_overlap_are_named(addon, scene, tmp_path):
         "Anisotropy"
     ].default_value = 0.9
     (warning,) = read(addon).warnings
-    assert '"Cloud" and "Cloud.001" overlap' in warning and "mean anisotropy" in warning
+    assert '"Cloud" and "Cloud.001" overlap' in warning and "mean Anisotropy" in warning
 
 
 def test_a_sequence_reads_the_frames_file(addon, scene, tmp_path):
