@@ -115,22 +115,22 @@ typedef struct {
     double most_flux;            /* ... the fluence over this */
 } LightCorrection;
 
-/* Light along directions that rise along every axis, after turning the cells: radiance_sweep.sweep_radiance. */
+/* Light along directions that rise most along one axis, and along the others: radiance_sweep.sweep_radiance. */
 typedef struct {
     int64_t shape[3];            /* cells along the axis of the steepest rise, and the others */
-    int64_t strides[3];          /* negative for axes that are turned */
+    int64_t strides[2];          /* of the first two; neighbours along the last follow one another */
+    int64_t signs[3];            /* 1, or -1 for axes along which light goes down */
     int64_t directions;
-    const double *slopes;        /* (directions, 2) */
-    const double *weights;       /* (directions, 4), of the radiance in fluence and in flux along each axis */
+    const float *slopes;         /* (directions, 2) */
+    const float *weights;        /* (directions, 4), of the radiance in fluence and in flux along each axis */
     const int64_t *kinds;        /* (directions), of the following arrays */
-    const double *passed;        /* (kinds, cells), transmittance */
-    const double *mean;          /* (kinds, cells), mean of exp(-tau) */
-    const double *given;         /* (kinds, cells), radiance that the cell adds to the radiance that leaves it */
-    const double *added;         /* (kinds, cells), and to its mean */
+    const float *passed;         /* (kinds, cells), transmittance */
+    const float *mean;           /* (kinds, cells), mean of exp(-tau) */
+    const float *given;          /* (kinds, cells), radiance that the cell adds to the radiance that leaves it */
+    const float *added;          /* (kinds, cells), and to its mean */
     int64_t cells;
-    int64_t first;               /* cell at which the directions enter */
-    double *fluence[4];          /* fluence, and flux along the three axes, added to */
-    double *scratch;             /* (2, shape[1] + 1, shape[2] + 1) */
+    float *fluence;              /* (4, cells), fluence, and flux along the three axes, added to */
+    float *scratch;              /* (2, directions, shape[1] + 2, shape[2] + 2) */
 } RadianceSweep;
 
 /* Moments of light that scatters once, along four directions that rise along every axis: wide_light.wide_light. */

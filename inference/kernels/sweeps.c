@@ -130,31 +130,49 @@ int64_t NAMED(sweep_ordinates, VARIANT)(const OrdinateSweep *sweep) {
     return count;
 }
 
+/* Follow one direction through some neighbouring cells of a row, at most LANES. before, after: its radiance in the slice
+passed last and in this one, each with a border of zeros. ray, cell: where the first of them is in these and in the
+volume. */
+static inline __attribute__((always_inline)) void follow_some(const RadianceSweep *sweep, int64_t d,
+                                                               const float *before, float *after, int64_t ray,
+                                                               int64_t cell, int64_t width) {
+    int64_t here = sweep->kinds[d] * sweep->cells + cell;
+    float f = sweep->slopes[2 * d], g = sweep->slopes[2 * d + 1];
+    const float *weights = sweep->weights + SUMS * d;
+    const float *last = before - sweep->signs[1] * (sweep->shape[2] + 2);
+    Floats own = load_some(before + ray, width) * (1.0f - f) + load_some(last + ray, width) * f;
+    ray -= sweep->signs[2];
+    Floats beside = load_some(before + ray, width) * (1.0f - f) + load_some(last + ray, width) * f;
+    ray += sweep->signs[2];
+    Floats moved = own * (1.0f - g) + beside * g;
+    Floats leaving = moved * load_some(sweep->passed + here, width) + load_some(sweep->given + here, width);
+    Floats mean = moved * load_some(sweep->mean + here, width) + load_some(sweep->added + here, width);
+    store_some(after + ray, leaving, width);
+    for (int n = 0; n < SUMS; n++) {
+        float *sum = sweep->fluence + n * sweep->cells + cell;
+        store_some(sum, load_some(sum, width) + weights[n] * mean, width);
+    }
+}
+
+/* Follow one direction through a slice of cells; at: of its first cell in the volume. */
+static void follow_slice(const RadianceSweep *sweep, int64_t d, const float *before, float *after, int64_t at) {
+    int64_t columns = sweep->shape[2], whole = columns - columns % LANES;
+    for (int64_t i = 0; i < sweep->shape[1]; i++) {
+        int64_t ray = (i + 1) * (columns + 2) + 1, cell = at + i * sweep->strides[1];
+        for (int64_t c = 0; c < whole; c += LANES) follow_some(sweep, d, before, after, ray + c, cell + c, LANES);
+        if (whole < columns) follow_some(sweep, d, before, after, ray + whole, cell + whole, columns - whole);
+    }
+}
+
 int64_t NAMED(sweep_radiance, VARIANT)(const RadianceSweep *sweep) {
-    int64_t rows = sweep->shape[1], columns = sweep->shape[2], row = columns + 1;
-    for (int64_t d = 0; d < sweep->directions; d++) {
-        double *before = sweep->scratch, *after = before + (rows + 1) * row;
-        double f = sweep->slopes[2 * d], g = sweep->slopes[2 * d + 1];
-        const double *weights = sweep->weights + SUMS * d;
-        int64_t kind = sweep->kinds[d] * sweep->cells + sweep->first;
-        memset(before, 0, (size_t)(2 * (rows + 1) * row) * sizeof *before);
-        for (int64_t k = 0; k < sweep->shape[0]; k++) {
-            for (int64_t i = 0; i < rows; i++) {
-                /* Light of the previous slice, with a row and a column of zeros before the first. */
-                const double *own = before + (i + 1) * row + 1, *last = own - row;
-                double *leaving = after + (i + 1) * row + 1;
-                int64_t at = k * sweep->strides[0] + i * sweep->strides[1];
-                for (int64_t c = 0; c < columns; c++) {
-                    int64_t cell = at + c * sweep->strides[2];
-                    double ahead = own[c] * (1.0 - f) + last[c] * f, behind = own[c - 1] * (1.0 - f) + last[c - 1] * f;
-                    double moved = ahead * (1.0 - g) + behind * g;
-                    leaving[c] = moved * sweep->passed[kind + cell] + sweep->given[kind + cell];
-                    double mean = moved * sweep->mean[kind + cell] + sweep->added[kind + cell];
-                    for (int n = 0; n < SUMS; n++) sweep->fluence[n][sweep->first + cell] += weights[n] * mean;
-                }
-            }
-            double *swapped = before;
-            before = after, after = swapped;
+    int64_t slice = (sweep->shape[1] + 2) * (sweep->shape[2] + 2), all = sweep->directions * slice;
+    memset(sweep->scratch, 0, (size_t)(2 * all) * sizeof *sweep->scratch);
+    for (int64_t k = 0; k < sweep->shape[0]; k++) {
+        int64_t number = sweep->signs[0] > 0 ? k : sweep->shape[0] - 1 - k;
+        for (int64_t d = 0; d < sweep->directions; d++) {
+            float *before = sweep->scratch + d * slice + (k & 1 ? all : 0);
+            float *after = sweep->scratch + d * slice + (k & 1 ? 0 : all);
+            follow_slice(sweep, d, before, after, number * sweep->strides[0]);
         }
     }
     return sweep->directions;

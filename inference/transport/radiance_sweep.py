@@ -17,29 +17,34 @@ def sweep_radiance(
     face: int,
     cancel: CancelToken = NEVER,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fluence (x, y, z) and flux (3, x, y, z) of light that is emitted and attenuated, without scattering.
+    """Fluence (x, y, z) and flux (3, x, y, z), float32, of light that is emitted and attenuated, without scattering.
 
     extinction, emission: (x, y, z), of cells of edge `cell`; emission is radiance per unit of length. face: directions
     along an edge of each face of a cube, an even number. Conserves energy: a cell
     absorbs its extinction times its fluence. Raises Cancelled.
     """
-    swept = np.zeros((4, *extinction.shape))
+    swept = np.zeros((4, *extinction.shape), np.float32)
     slopes, weights = directions(face)
     lengths, kinds = np.unique(np.sqrt(1.0 + (slopes**2).sum(axis=1)).round(12), return_inverse=True)
     cells = _cells(extinction, emission, cell * lengths)
     for axis in range(3):
+        # What directions rise most along goes before the axis whose neighbours follow one another in memory.
+        ahead = axis == 2
+        turned = np.ascontiguousarray(np.moveaxis(cells, -1, 2)) if ahead else cells
+        sums = np.zeros((4, *turned.shape[2:]), np.float32) if ahead else swept
         for signs in np.ndindex(2, 2, 2):
             cancel.check()
-            # Flipped such that all of these directions rise along every axis, and most along the first.
-            flips = (slice(None), *(slice(None, None, -1 if sign else 1) for sign in signs))
-            unit = np.insert(slopes, axis, 1.0, axis=1) * np.where(signs, -1.0, 1.0) / lengths[kinds][:, None]
+            along = np.where(signs, -1, 1)
+            unit = np.insert(slopes, axis, 1.0, axis=1) * along / lengths[kinds][:, None]
             gather = weights[:, None] * np.insert(unit, 0, 1.0, axis=1)
-            _follow(cells, slopes, kinds, gather, swept, flips, axis)
+            _follow(turned, (slopes, kinds, gather), sums, along, axis)
+        if ahead:
+            swept += np.moveaxis(sums, 1, -1)
     return swept[0], swept[1:]
 
 
-def _cells(extinction: np.ndarray, emission: np.ndarray, lengths: np.ndarray) -> list[np.ndarray]:
-    """What cells do to light that takes so long a way through them, four (K, x, y, z) for lengths (K,).
+def _cells(extinction: np.ndarray, emission: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """What cells do to light that takes so long a way through them, float32 (4, K, x, y, z) for lengths (K,).
 
     Transmittance; mean of exp(-tau) within the cell; and what the cell adds to the radiance that leaves it, and to the
     mean within it.
@@ -48,41 +53,43 @@ def _cells(extinction: np.ndarray, emission: np.ndarray, lengths: np.ndarray) ->
     depth = np.maximum(extinction * lengths, MIN_DEPTH)
     given, lost = emission * lengths, -np.expm1(-depth)
     lost_fraction = lost / depth
-    return [1.0 - lost, lost_fraction, given * lost_fraction, given * (1.0 - lost_fraction) / depth]
+    parts = 1.0 - lost, lost_fraction, given * lost_fraction, given * (1.0 - lost_fraction) / depth
+    return np.stack(parts).astype(np.float32)
 
 
 def _follow(
-    cells: list[np.ndarray],
-    slopes: np.ndarray,
-    kinds: np.ndarray,
-    gather: np.ndarray,
-    swept: np.ndarray,
-    flips: tuple[slice, ...],
+    cells: np.ndarray,
+    directions: tuple[np.ndarray, np.ndarray, np.ndarray],
+    sums: np.ndarray,
+    signs: np.ndarray,
     axis: int,
 ) -> None:
-    """Add the light along directions with slopes (n, 2) to `swept`, (4, x, y, z).
+    """Add the light along directions to sums, float32 (4, x, y, z), the last axis before the others if it is `axis`.
 
-    cells: from `_cells`. kinds: (n,), which of them each direction meets. gather: (n, 4), weights of radiance in sums.
-    flips, axis: how the cells are turned such that the directions rise along all axes, and most along the first.
+    cells: from `_cells`. directions: slopes (n, 2); which of the cells each direction meets, (n,); and weights of its
+    radiance in sums, (n, 4). signs: (3,), 1 or -1, of the way along each axis. axis: along which it is the steepest.
     """
-    turned = np.moveaxis(swept[flips], 1 + axis, 1)[0]
+    slopes, kinds, gather = directions
     passed, mean, given, added = cells
+    # Of the arrays' axes, the steepest and the other two.
+    order = (1, 0, 2) if axis == 1 else (0, 1, 2)
+    shape, strides = np.array(sums.shape[1:])[[*order]], np.array(sums.strides[1:])[[*order]] // sums.itemsize
     call(
         "sweep_radiance",
-        shape=np.array(turned.shape),
-        strides=np.array(turned.strides) // turned.itemsize,
+        shape=shape,
+        strides=strides[:2],
+        signs=np.concatenate([signs[[axis]], np.delete(signs, axis)]),
         directions=len(slopes),
-        slopes=slopes,
-        weights=gather,
+        slopes=slopes.astype(np.float32),
+        weights=gather.astype(np.float32),
         kinds=kinds.astype(np.int64),
         passed=passed,
         mean=mean,
         given=given,
         added=added,
-        cells=turned.size,
-        first=(turned.ctypes.data - swept.ctypes.data) // turned.itemsize,
-        fluence=tuple(swept),
-        scratch=np.empty(2 * (turned.shape[1] + 1) * (turned.shape[2] + 1)),
+        cells=sums[0].size,
+        fluence=sums,
+        scratch=np.empty(2 * len(slopes) * (shape[1] + 2) * (shape[2] + 2), np.float32),
     )
 
 

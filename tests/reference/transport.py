@@ -60,19 +60,20 @@ def sweep_ordinates(sweep: Fields) -> int:
 
 def sweep_radiance(sweep: Fields) -> int:
     """Follow light along directions that rise most along the first axis, once the cells are turned."""
-    (f, g), first = sweep["slopes"].T[:, :, None, None], sweep["first"]
+    (f, g), shape = sweep["slopes"].T[:, :, None, None].astype(float), tuple(sweep["shape"])
+    flips = tuple(slice(None, None, int(sign)) for sign in sweep["signs"])
 
     def turned(values: np.ndarray) -> np.ndarray:
-        flat = values.reshape(-1)[first:]
-        return np.lib.stride_tricks.as_strided(flat, sweep["shape"], sweep["strides"] * values.itemsize)
+        strides = np.array([*sweep["strides"], 1]) * values.itemsize
+        return np.lib.stride_tricks.as_strided(values.reshape(-1), shape, strides)[flips]
 
     cells = [
         np.stack([turned(kind) for kind in sweep[name]])[sweep["kinds"]]
         for name in ("passed", "mean", "given", "added")
     ]
     fluence = [turned(values) for values in sweep["fluence"]]
-    light = np.zeros((len(sweep["slopes"]), *sweep["shape"][1:]))
-    for k in range(sweep["shape"][0]):
+    light = np.zeros((len(sweep["slopes"]), *shape[1:]))
+    for k in range(shape[0]):
         passed, mean, given, added = (values[:, k] for values in cells)
         moved = np.pad(light, [(0, 0), (1, 0), (1, 0)])
         moved = moved[:, 1:] * (1.0 - f) + moved[:, :-1] * f
