@@ -4,8 +4,8 @@
     python -m benchmarks.cost.lamps [--sizes 64x64 256x256] [--rounds 3]
 
 Renders a procedural cloud lit by one sun, and by a lamp of each kind outside of it, by a point light inside, by four
-suns and four point lights, by a stage of twelve spots, a street of thirty lamps and a ceiling of thirty-six area
-lights, in turn, and prints the least seconds of each and their ratios to the sun's.
+suns and four point lights, by a stage of twelve spots, a street of thirty lamps, thirty point lights inside and a
+ceiling of thirty-six area lights, in turn, and prints the least seconds of each and their ratios to the sun's.
 """
 
 import numpy as np
@@ -35,6 +35,9 @@ def lights(volume) -> dict[str, list]:
         turn[:3, 3] = middle + size * (2.5 * towards + 0.5 * (x * matrix[:3, 0] + y * matrix[:3, 1]))
     turned = [np.roll(towards, 1) * [1, 1, -1], np.roll(towards, 2), towards * [-1, 1, 1]]
     around = [towards, *turned]
+    filled = np.argwhere(volume.density > 0.3 * volume.density.max())
+    some = filled[np.random.default_rng(5).integers(len(filled), size=30)] + 0.5
+    inside = some @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
     return {
         "one white sun": [Sun(towards, 3.0)],
         "a point light": [PointLight(place, power, 0.02 * size)],
@@ -45,6 +48,7 @@ def lights(volume) -> dict[str, list]:
         "four point lights": [PointLight(middle + 1.2 * size * way, power) for way in around],
         "twelve spots of a stage": [SpotLight(spot, middle - spot, power, 0.6, 0.2, 0.02 * size) for spot in spots],
         "thirty lamps of a street": [PointLight(post, power, 0.02 * size) for post in posts],
+        "thirty point lights inside": [PointLight(point, power / 30.0) for point in inside],
         "thirty-six panels of a ceiling": [AreaLight(turn, "square", 0.3 * size, power) for turn in panels],
     }
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lamps whose light camera rays gather, and pixels within which it varies."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,8 @@ from ..marching.mean_lamp_depth import MeanLampDepth
 from ..marching.ray_march import LampMarch
 from ..marching.ray_steps import RayBatch
 from ..network.albedos import Albedos
-from ..network.placed_lights import PlacedLamp
+from ..network.placed_lights import PlacedLamp, PlacedLamps
+from ..numerics.alike import alike_vector
 from ..plan.plan import Channels
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, pixel_size
@@ -47,12 +48,13 @@ def prepare_lamp_march(
         with context.report.stage("fields"):
             for g, group in scene.predicted(channels):
                 sigma_t = float(group.medium.sigma_t[channels.indices[0]])
-                clusters = scene.plan.lamp_clusters[g]
-                of_part = {k: number for number, cluster in enumerate(clusters) for k in cluster}
-                with context.progress.stage("transport", len(clusters)):
-                    lights = [light for light, _ in placed_lamps(context, scene, channels, g)]
+                asked = asked_lamps(context, scene, channels, g)
+                # Lamps that shine in none of the channels are in no part.
+                of_part = {k: number for number, lamps in enumerate(asked) for k in lamps.numbers}
+                with context.progress.stage("transport", len(asked)):
+                    lights = [lamps.light for lamps in asked]
                     joined = group.predictor.fluence(sigma_t, lights, scene.occluders, context.tasks)
-                fluence[g] = joined and joined.of_parts([of_part[cell[0]] for cell in scene.lamp_cells])
+                fluence[g] = joined and joined.of_parts([of_part.get(cell[0], 0) for cell in scene.lamp_cells])
     predicted = any(scattered is not None for scattered in fluence)
     means = _mean_depths(context, scene, channels, pixels)
     return LampMarch(scene.marched_lamps, fluence if predicted else None, scene.lamp_radius, means)
@@ -98,18 +100,70 @@ def _worthwhile(lamp: PredictedLamp, medium: BoundMedium, pixels: int) -> bool:
     return pixels * CROSSED * max(grid.shape) > grid.density.padded.size * min(grid.occupancy.share, 1.0)
 
 
-def placed_lamps(
-    context: RenderContext, scene: PreparedScene, channels: Channels, g: int
-) -> list[tuple[PlacedLamp, Albedos]]:
-    """The plan's clusters of lamps for a group of volumes, and the group's albedos in each. Raises Cancelled."""
-    group = scene.groups[g]
+@dataclass(frozen=True)
+class AskedLamps:
+    """Lamps whose light a group of volumes is asked for at once.
+
+    numbers: in the plan. light: of strength 1. strength: (3,), W. albedos: of the group.
+    """
+
+    numbers: Sequence[int]
+    light: PlacedLamp | PlacedLamps
+    strength: np.ndarray
+    albedos: Albedos
+
+
+def asked_lamps(context: RenderContext, scene: PreparedScene, channels: Channels, g: int) -> list[AskedLamps]:
+    """The lamps for a group of volumes: the plan's clusters, and those near it together. Raises Cancelled."""
+    group, asked, near = scene.groups[g], [], []
     assert group is not None
-    medium, sigma_t, placed = group.medium, float(group.medium.sigma_t[channels.indices[0]]), []
-    for lamp in lamps_of_group(scene, g):
-        light, conditions = PlacedLamp(lamp, group.predictor.cube, scene.lamp_radius), (scene.occluders, context.tasks)
-        asked = group.predictor.albedos(medium, sigma_t, channels.indices, light, *conditions, scene.plan.optimizations)
-        placed.append((replace(light, albedos=asked.values), asked))
-    return placed
+    predictor, medium, sigma_t = group.predictor, group.medium, float(group.medium.sigma_t[channels.indices[0]])
+
+    def ask(
+        numbers: Sequence[int], light: PlacedLamp | PlacedLamps, strength: np.ndarray, indices: Sequence[int]
+    ) -> None:
+        conditions = scene.occluders, context.tasks, scene.plan.optimizations
+        albedos = predictor.albedos(medium, sigma_t, indices, light, *conditions)
+        asked.append(AskedLamps(numbers, replace(light, albedos=albedos.values), strength, albedos))
+
+    joins = "distant_lamps" in scene.plan.optimizations
+    for cluster, lamp in zip(scene.plan.lamp_clusters[g], lamps_of_group(scene, g)):
+        light = PlacedLamp(lamp, predictor.cube, scene.lamp_radius)
+        lit = joins and len(cluster) == 1 and scene.plan.lights_group(scene.plan.lamps[cluster[0]], g)
+        if lit and predictor.transport_share(light) >= 1.0:
+            near.append((cluster[0], light))
+        else:
+            ask(cluster, light, lamp.power, channels.indices)
+    for own, indices, powers in _sums([light.lamp.power for _, light in near], channels.indices):
+        numbers, lights, total = [near[n][0] for n in own], [near[n][1] for n in own], powers.sum(axis=0)
+        shares = powers.sum(axis=1) / max(float(total.sum()), 1e-300)
+        ask(numbers, lights[0] if len(own) == 1 else PlacedLamps(lights, shares.tolist()), total, indices)
+    return asked
+
+
+def _sums(
+    powers: Sequence[np.ndarray], channels: Sequence[int]
+) -> list[tuple[Sequence[int], Sequence[int], np.ndarray]]:
+    """Lamps of powers (3,) in as few sums as possible within each of which all have one colour.
+
+    Of each sum the numbers of the lamps, the colour channels, and the powers in these, (n, 3). Lamps of many
+    colours are summed in each channel by itself.
+    """
+    by_colour: dict[Hashable, list[int]] = {}
+    for number, power in enumerate(powers):
+        by_colour.setdefault(alike_vector(power / max(float(power.max()), 1e-300)), []).append(number)
+    by_channel: dict[Hashable, list[int]] = {}
+    for c in channels:
+        column = np.array([power[c] for power in powers])
+        by_channel.setdefault(alike_vector(column / max(float(column.max(initial=0.0)), 1e-300)), []).append(c)
+    if len(by_colour) <= len(by_channel):
+        return [(own, channels, np.array([powers[n] for n in own])) for own in by_colour.values()]
+    every = np.array(powers)
+    return [
+        (np.flatnonzero(every[:, own[0]]).tolist(), own, every[every[:, own[0]] > 0.0] * np.isin(range(3), own))
+        for own in by_channel.values()
+        if every[:, own[0]].any()
+    ]
 
 
 def lamps_of_group(scene: PreparedScene, g: int) -> list[PredictedLamp]:

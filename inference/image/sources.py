@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from ..marching.extended_lights import EquivalentDirections
-from ..marching.joined_lamps import PredictedLamp
 from ..network.albedos import Albedos
 from ..network.conditions import PredictedLight
 from ..network.estimators import (
@@ -21,7 +20,7 @@ from ..network.estimators import (
     Quantity,
     Turn,
 )
-from ..network.placed_lights import PlacedSkies, PlacedSun
+from ..network.placed_lights import PlacedLamp, PlacedLamps, PlacedSkies, PlacedSun
 from ..plan.lights import PredictedSun
 from ..plan.plan import Channels, last_albedo
 from ..render_cache import ScatteringGroup
@@ -29,7 +28,7 @@ from ..scene.camera import Camera
 from ..scene.environment import Environment
 from ..transport.scattered_fluence import ScatteredFluence
 from .context import ChannelPass, PreparedScene, RenderContext
-from .lamp_pass import placed_lamps
+from .lamp_pass import asked_lamps
 from .predicted_error import SCATTERED_EMISSION, environment_deviation
 
 
@@ -75,7 +74,7 @@ class Source:
     varies: bool
     voxel: float
     frames: np.ndarray | None = None
-    lights: int = 0
+    lights: float = 0
     needs_detail: bool = False
     masked: bool = False
     once_per_ray: bool = False
@@ -180,23 +179,26 @@ class AskedGroup:
                 )
 
     def lamps(self) -> list[Source]:
-        """Of all lamps, those that are predicted as one together: the brightest first, which mask errors of others."""
-        scene, clusters = self.scene, self.scene.plan.lamp_clusters[self.number]
-        middle, bright = self.group.predictor.cube.centre[None], []
-        for cluster, (light, albedos) in zip(clusters, placed_lamps(self.context, scene, self.channels, self.number)):
-            if scene.plan.lights_group(scene.plan.lamps[cluster[0]], self.number):
-                cells = {n: cell for n, cell in enumerate(scene.lamp_cells) if cell[0] in cluster}
-                parts = [[cluster.index(k) for k in cell] for cell in cells.values()]
-                source = self._predicted(
-                    light,
-                    albedos,
-                    strength=light.lamp.power,
-                    features=functools.partial(features_of_lamp, light.lamp, list(cells), parts),
-                    turn=lambda directions, image: directions,
-                )
-                bright.append((float(light.irradiance(middle)[0] * light.lamp.power.mean()), source))
+        """Of all lamps, those that are predicted at once together: the brightest first, which mask errors of others."""
+        scene, middle, bright = self.scene, self.group.predictor.cube.centre[None], []
+        for asked in asked_lamps(self.context, scene, self.channels, self.number):
+            if not scene.plan.lights_group(scene.plan.lamps[asked.numbers[0]], self.number):
+                continue
+            light, near = asked.light, isinstance(asked.light, PlacedLamps)
+            cells = {n: cell for n, cell in enumerate(scene.lamp_cells) if set(cell) & set(asked.numbers)}
+            parts = [[asked.numbers.index(k) for k in cell] for cell in cells.values()]
+            source = self._predicted(
+                light,
+                asked.albedos,
+                strength=asked.strength,
+                features=functools.partial(features_of_lamps, light, list(cells), parts),
+                turn=lambda directions, image: directions,
+                lamp_depths=functools.partial(depths_of_lamps, list(cells)) if near else None,
+            )
+            source = replace(source, lights=source.lights / len(cells) if near else source.lights, masked=True)
+            bright.append((float(light.irradiance(middle)[0] * asked.strength.mean()), source))
         bright.sort(key=lambda pair: -pair[0])
-        return [replace(source, masked=True) for _, source in bright]
+        return [source for _, source in bright]
 
     def _predicted(
         self,
@@ -206,8 +208,9 @@ class AskedGroup:
         strength: np.ndarray,
         features: Callable[[LitPoints], np.ndarray | None],
         turn: Turn,
+        lamp_depths: Callable[[LitPoints], np.ndarray | None] | None = None,
     ) -> Source:
-        """strength, features, turn: as of LightEstimator."""
+        """strength, features, turn, lamp_depths: as of LightEstimator."""
         context, scene, predictor = self.context, self.scene, self.group.predictor
         with context.progress.stage("lattices", 1):
             prepared = predictor.prepare(self.sigma_t, light, scene.occluders, context.tasks)
@@ -218,6 +221,7 @@ class AskedGroup:
             features=features,
             irradiance=light.irradiance,
             turn=turn,
+            lamp_depths=lamp_depths,
             uncertainty=scene.uncertainty_network,
         )
         context.cancel.check()
@@ -285,16 +289,22 @@ def features_of_sun(sun: PredictedSun, points: LitPoints) -> np.ndarray | None:
     return None if gathered is None else gathered.mean(points.places, points.group, sun.parts, sun.shares)
 
 
-def features_of_lamp(
-    lamp: PredictedLamp, cells: Sequence[int], parts: Sequence[Sequence[int]], points: LitPoints
+def features_of_lamps(
+    light: PlacedLamp | PlacedLamps, cells: Sequence[int], parts: Sequence[Sequence[int]], points: LitPoints
 ) -> np.ndarray | None:
-    """As `features_of_sun`, of a cluster of lamps in some cells, by number; parts: which of them are in each cell."""
-    shares = np.ones((1, len(parts)))
+    """As `features_of_sun`, of lamps in some cells, by number; parts: which of them are in each cell."""
+    gathered, shares = points.lamps, np.ones((1, len(parts)))
+    if gathered is None:
+        return None
     if len(parts) > 1:
-        of_lamps = lamp.shares(points.positions)
+        of_lamps = light.shares(points.positions)
         shares = np.stack([of_lamps[:, part].sum(axis=1) for part in parts], axis=1)
-    gathered = points.lamps
-    return None if gathered is None else gathered.mean(points.places, points.group, cells, shares)
+    return gathered.mean(points.places, points.group, cells, shares)
+
+
+def depths_of_lamps(cells: Sequence[int], points: LitPoints) -> np.ndarray | None:
+    """Optical depths float32 (K, N) at points towards the lamp in each of K cells; None where rays gathered none."""
+    return None if points.lamps is None else points.lamps.values[points.places, points.group][:, cells, 0].T
 
 
 def rows_of(

@@ -341,18 +341,33 @@ typedef struct {
     double *brightest;           /* (points), if each emitter faced each point */
 } LampFluence;
 
-/* Light of a lamp nearby that points scatter towards the camera: LampNearby. */
+/* A lamp near a volume or in it: LampNearby. */
+typedef struct {
+    int64_t emitters;
+    const Emitter *parts;        /* (emitters) */
+    double power;                /* factor of its light */
+    double place[3];             /* in the cube's frame */
+    const float *cells;          /* (edge, edge, edge, 20), the light of nearby_light over `scale` */
+    double scale;
+    const float *start;          /* optical depths at which light of a soft falloff starts to be scattered, or NULL; */
+    double radius, around;       /* SoftStart has these */
+} NearbyLamp;
+
+/* Light of lamps nearby that points scatter towards the camera: LampNearby. */
 typedef struct {
     int64_t points;
+    const double *positions;     /* (points, 3), in the world */
     const float *index;          /* (3, points), positions in cells */
-    const float *omega;          /* (3, points), unit vectors along camera rays */
-    const float *towards;        /* (3, points), unit vectors to the lamp */
-    const float *irradiance, *depth, *scattering;  /* (points), of LampAtPoints */
-    int64_t places;              /* on the way from the lamp, at most 8 */
-    const float *parts, *matter; /* (places, points) */
-    const float *cells;          /* (edge, edge, edge, 20), the light of nearby_light over `scale`; edge >= 2 */
-    int64_t edge;
-    double scale;
+    const float *omega;          /* (3, points), unit vectors along camera rays, in the cube's frame */
+    int64_t edge;                /* of the cells, with a cell of padding on each side; at least 3 */
+    const float *density;        /* (edge, edge, edge) */
+    const float *together;       /* (edge, edge, edge, 4), first four moments of all lamps; NULL for one lamp */
+    double low[3], high[3];      /* corners of the volume's box, in the cube's frame */
+    int64_t lamps;
+    const NearbyLamp *lamp_list; /* (lamps) */
+    const float *depths;         /* (lamps, points), optical, of ray features */
+    double radius;               /* within which light that turned by small angles is not told apart */
+    double joined;               /* part of the fluence below which a lamp's light is not told apart */
     double anisotropy, reduced;  /* of the phase function, and without its forward peak */
     double albedo;
     int64_t terms;               /* of the series of Legendre's polynomials, at least 4 */

@@ -17,7 +17,7 @@ from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates
 from ..transport.scattered_fluence import FluenceLattice
 
 if TYPE_CHECKING:
-    from .lamp_nearby import LampAtPoints, LampNearby, SoftStart
+    from .lamp_nearby import NearLamp
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
@@ -75,7 +75,15 @@ class PredictedLight(PlacedLight, Protocol):
 
 
 class NearLight(Protocol):
-    """A light near a volume or inside it, of which the coarse transport is the multiple scattering itself."""
+    """Lamps near a volume or inside it, of which the coarse transport is the multiple scattering itself."""
+
+    @property
+    def lamps(self) -> "Sequence[PredictedLight]":
+        """Each of them, of power 1."""
+
+    @property
+    def powers(self) -> Sequence[float]:
+        """Factors of their light."""
 
     def transport_share(self, extent: Bounds) -> float:
         """Share of the coarse transport alone in its multiple scattering in a box, 0 to 1."""
@@ -83,11 +91,12 @@ class NearLight(Protocol):
     def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
         """As `source_terms.nearby_light`. Raises Cancelled."""
 
-    def soft_start(self, sigma_hat: float, density: FluenceLattice) -> "SoftStart | None":
-        """Where the light of a soft falloff starts to be scattered, or None. density: of the coarse cells."""
+    def seen(self, sigma_hat: float, density: FluenceLattice) -> "list[NearLamp]":
+        """The lamps as points see them. density: of the coarse cells."""
 
-    def at_points(self, nearby: "LampNearby", positions: np.ndarray, depth: np.ndarray) -> "LampAtPoints":
-        """Unscattered light at world positions (N, 3); depth: optical (N,), of ray features."""
+    @property
+    def radius(self) -> float:
+        """In the world, within which light that turned by small angles is not told apart."""
 
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)
@@ -130,6 +139,7 @@ class RayPoints:
     positions: (N, 3). directions: (N, 3), unit vectors along the rays. jitter: (N, 3) in [-1/2, 1/2), offset of each
     point's lookups in cells, or None. ray_features: float32 (N, COLUMNS) of `RayFeatures`, None for networks that need
     none. irradiance: (N,), or the same everywhere, of a light of strength 1, over which the ray features are given.
+    lamp_depths: float32 (K, N), optical depths towards each of the lamps near a volume, or None.
     """
 
     positions: np.ndarray
@@ -137,6 +147,7 @@ class RayPoints:
     jitter: np.ndarray | None = None
     ray_features: np.ndarray | None = None
     irradiance: np.ndarray | np.float32 = np.float32(1.0)
+    lamp_depths: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -144,7 +144,7 @@ class LightEstimator:
 
     strength: (3,), irradiance or power. predictor: for a strength of 1. features: what rays have gathered of the light
     at points, float32 (N, COLUMNS). irradiance: of a strength of 1 at world positions (N, 3). turn: in which directions
-    it sees rays.
+    it sees rays. lamp_depths: of several lamps near a volume the optical depths float32 (K, N) towards each.
     """
 
     strength: np.ndarray
@@ -153,6 +153,7 @@ class LightEstimator:
     features: Callable[[LitPoints], np.ndarray | None]
     irradiance: Callable[[np.ndarray], np.ndarray | np.float32]
     turn: Turn
+    lamp_depths: Callable[[LitPoints], np.ndarray | None] | None = None
     uncertainty: UncertaintyNetwork | None = None
     coloured = needs_depths = varies_slowly = False
 
@@ -201,7 +202,11 @@ class LightEstimator:
 
     def _asked(self, points: LitPoints) -> RayPoints:
         return RayPoints(
-            points.positions, self.turn(points.directions, points.image), points.jitter, self.features(points)
+            positions=points.positions,
+            directions=self.turn(points.directions, points.image),
+            jitter=points.jitter,
+            ray_features=None if self.lamp_depths else self.features(points),
+            lamp_depths=self.lamp_depths(points) if self.lamp_depths else None,
         )
 
 

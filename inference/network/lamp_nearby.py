@@ -38,18 +38,21 @@ the roots of Lanczos' factors sinc(l / 4), since a series that breaks off is as 
 bright at others.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from ..grids.sphere_depth import EXCESS_MOST, FIRST_PART, NODES
+from ..kernels import structures
 from ..kernels.library import call
-from ..numerics.quadrature import legendre_nodes
+from ..kernels.structures import array_of
 from ..numerics.spherical_harmonics import DEGREES
+from ..scene.emitters import Emitter
 from ..scene.phase_function import reduced_anisotropy
+from ..source_terms.described_lamps import describe_emitter
 from ..source_terms.forward_peak import MIN_FORWARD
-from ..source_terms.lamp_beam import directions_to
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
 
@@ -61,14 +64,14 @@ NEAR, FAR = 0.1, 0.2
 LAST = int(DEGREES[-1])
 # Roots of Lanczos' factors of the degrees, times their weights in a series of Legendre's polynomials.
 WEIGHTS = np.sqrt(np.sinc(np.arange(LAST + 1) / (LAST + 1))) * (2 * np.arange(LAST + 1) + 1) / (4.0 * np.pi)
-# Places on the way from a lamp at which matter is read.
-PLACES = 4
 # Largest mean cosines of light around a direction: that of the transport's moments, measured, and that of the peak's.
 STRAIGHTEST, STRAIGHTEST_PEAK = 0.9, 0.999
 # Least light that scatters towards the camera, over what would if it did so evenly; measured.
 LEAST = 0.05
 # Terms of Legendre series are summed down to this one, but no more than so many.
 MIN_TERM, MAX_TERMS = 1e-4, 160
+# Part of the fluence, over the number of lamps, below which a lamp's light is not told apart from that of others.
+JOINED = 0.02
 #: Smallest albedo for which the transport is solved.
 MIN_ALBEDO = 1e-3
 
@@ -84,130 +87,102 @@ def transport_share(lamp: np.ndarray, low: np.ndarray, high: np.ndarray) -> floa
 
 
 @dataclass(frozen=True)
-class Way:
-    """The straight ways from a lamp to N points, at some places each.
-
-    parts: (K, N), of the way up to each place, in [0, 1]. matter: (K, N), share of the way's matter that is there.
-    """
-
-    parts: np.ndarray
-    matter: np.ndarray
-
-    def means(self, anisotropy: float, count: int) -> list[np.ndarray | float]:
-        """Means (N,) of the moments G^(l t) over the matter at parts t, of orders l below a count.
-
-        G^l where light scatters backwards.
-        """
-        if anisotropy < 0.0:
-            return [anisotropy**order for order in range(count)]
-        step = np.exp(self.parts * np.log(max(anisotropy, 1e-30)))
-        depths, moments = [], self.matter
-        for _ in range(count):
-            depths.append(moments.sum(axis=0))
-            moments = moments * step
-        return depths
-
-
-@dataclass(frozen=True)
-class LampAtPoints:
-    """Unscattered light of a lamp at N points, in the frame of the working cube.
-
-    towards: (N, 3), unit vectors to the lamp. irradiance, depth: (N,), without what lies in between, and its optical
-    depth. scattering: (N,), the part of this depth in which it is scattered as on a straight way. way: from the lamp.
-    """
-
-    towards: np.ndarray
-    irradiance: np.ndarray
-    depth: np.ndarray
-    scattering: np.ndarray
-    way: Way
-
-
-@dataclass(frozen=True)
 class SoftStart:
     """Where the light of a soft falloff starts to be scattered.
 
-    radius: of the lamp, in edges of the cube. around: the mean density within it. depths: of `start_depths` there.
+    radius: of the lamp, in edges of the cube. around: the mean density within it. depths: of `start_depths` there. On a
+    ray they are in proportion to the density on its first radii.
     """
 
     radius: float
     around: float
     depths: np.ndarray
 
-    def __call__(self, lamp: np.ndarray, points: np.ndarray, density: FluenceLattice) -> np.ndarray:
-        """Optical depth (N,) of the ways from a lamp (3,) to points (N, 3); in proportion to the density on them."""
-        ways = points - lamp
-        distance = np.maximum(np.linalg.norm(ways, axis=1), 1e-30)
-        weight = np.minimum(FIRST_PART * self.radius / distance, 1.0)
-        places = lamp + ((0.5 + 0.5 * legendre_nodes(2)[0])[:, None, None] * weight[:, None]) * ways
-        mean = density.values(places.reshape(-1, 3)).reshape(places.shape[:2]).mean(axis=0)
-        node = distance / (distance + self.radius) * (NODES - 1)
-        more = np.clip(mean / max(self.around, 1e-30), 0.0, EXCESS_MOST)
-        return more * np.interp(node, np.arange(NODES), self.depths)
+
+@dataclass(frozen=True)
+class NearLamp:
+    """A lamp of power 1 near a volume, times a factor.
+
+    emitters: its parts, in the world. place: (3,), in the cube's frame. start: of a soft falloff, or None.
+    """
+
+    emitters: Sequence[Emitter]
+    power: float
+    place: np.ndarray
+    start: SoftStart | None = None
+
+
+@dataclass(frozen=True)
+class NearbyTransport:
+    """The transport of lamps for one albedo.
+
+    cells: `moment_lattice` of `nearby_light` over a factor, and the factor: of each lamp of power 1, or where light
+    scatters evenly of all of them together. together: of several lamps, the first four values of all their light.
+    """
+
+    cells: Sequence[tuple[np.ndarray, float]]
+    together: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class NearbyPoints:
+    """N points of rays near lamps.
+
+    world, positions: float64 (N, 3), in the world and in the cube's frame. omega: (N, 3), unit vectors along the rays,
+    in the cube's frame. depths: float32 (K, N), optical depths towards each lamp, of ray features.
+    """
+
+    world: np.ndarray
+    positions: np.ndarray
+    omega: np.ndarray
+    depths: np.ndarray
 
 
 @dataclass(frozen=True)
 class LampNearby:
-    """The transport of a lamp of power 1, solved for some albedos.
+    """The transport of lamps together, solved for some albedos.
 
-    share: of it in the multiple scattering. lights: of each albedo, its FluenceLattice over a factor, and the factor.
-    anisotropy: G of the phase function. density: of the cube's cells, a lattice of one value. extent: lower and upper
-    corner (3,) of the volume's box in the cube's frame. start: of a lamp with a soft falloff, or None.
+    share: of it in the multiple scattering. lights: of each albedo. lamps: K of them. anisotropy: G of the phase
+    function. density: of the cube's cells, a lattice of one value. extent: lower and upper corner (3,) of the volume's
+    box in the cube's frame. radius: in the world, within which light that turned by small angles is not told apart.
     """
 
     share: float
-    lights: Mapping[float, tuple[FluenceLattice, float]]
+    lights: Mapping[float, NearbyTransport]
+    lamps: Sequence[NearLamp]
     anisotropy: float
     density: FluenceLattice
     extent: Bounds
-    start: SoftStart | None = None
+    radius: float
 
-    def lit(self, lamp: np.ndarray, points: np.ndarray, irradiance: np.ndarray, depth: np.ndarray) -> LampAtPoints:
-        """The light of a lamp (3,) at points (N, 3); irradiance, depth: (N,), as of LampAtPoints."""
-        scattering = depth
-        if self.start is not None:
-            scattering = np.maximum(depth - self.start(lamp, points, self.density), 0.0)
-        return LampAtPoints(directions_to(lamp, points), irradiance, depth, scattering, self.way(lamp, points))
+    def radiance(self, albedo: float, points: NearbyPoints) -> np.ndarray:
+        """Multiple scattering float32 (N,) at points, without the factor of the local albedo.
 
-    def way(self, lamp: np.ndarray, points: np.ndarray) -> Way:
-        """The ways from a lamp (3,) to points (N, 3), within the volume's box."""
-        ways = points - lamp
-        slopes = np.where(np.abs(ways) > 1e-12, ways, 1e-12)
-        nearer = np.minimum((self.extent[0] - lamp) / slopes, (self.extent[1] - lamp) / slopes)
-        start = np.clip(nearer.max(axis=1), 0.0, 1.0)
-        parts = start + (1.0 - start) * ((np.arange(PLACES)[:, None] + 0.5) / PLACES)
-        places = (lamp + parts[..., None] * ways).reshape(-1, 3)
-        # Evenly spread where the cells hold none.
-        matter = self.density.values(places).reshape(parts.shape) + np.float32(1e-9)
-        return Way(parts, matter / matter.sum(axis=0))
-
-    def radiance(self, albedo: float, positions: np.ndarray, omega: np.ndarray, lamp: LampAtPoints) -> np.ndarray:
-        """Multiple scattering float64 (N,) at points, without the factor of the local albedo.
-
-        albedo: one of those that it is solved for. positions, omega: (N, 3), of points and camera rays in the cube's
-        frame. lamp: at the points.
+        albedo: one of those that it is solved for.
         """
-        (light, scale), g = self.lights[albedo], self.anisotropy
+        light, g = self.lights[albedo], self.anisotropy
         if g**2 < MIN_FORWARD:
-            moments = light.values(positions) * np.float32(scale)
-            scattered = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * omega).sum(axis=1)) / (4.0 * np.pi)
-            return np.maximum(scattered, LEAST / (4.0 * np.pi) * moments[:, 0])
-        out = np.empty(len(positions), np.float32)
+            [(cells, scale)] = light.cells
+            moments = FluenceLattice(cells).values(points.positions) * np.float32(scale)
+            scattered = (moments[:, 0] - 3.0 * g * (moments[:, 1:4] * points.omega).sum(axis=1)) / (4.0 * np.pi)
+            return np.maximum(scattered, LEAST / (4.0 * np.pi) * moments[:, 0]).astype(np.float32)
+        out = np.empty(len(points.positions), np.float32)
         call(
             "scatter_nearby",
-            points=len(positions),
-            index=_floats(light.index(positions)),
-            omega=_floats(omega.T),
-            towards=_floats(lamp.towards.T),
-            irradiance=_floats(lamp.irradiance),
-            depth=_floats(lamp.depth),
-            scattering=_floats(lamp.scattering),
-            places=len(lamp.way.parts),
-            parts=_floats(lamp.way.parts),
-            matter=_floats(lamp.way.matter),
-            cells=_floats(light.cells),
-            edge=len(light.cells),
-            scale=scale,
+            points=len(out),
+            positions=np.ascontiguousarray(points.world, np.float64),
+            index=_floats(self.density.index(points.positions)),
+            omega=_floats(points.omega.T),
+            edge=len(self.density.cells),
+            density=self.density.cells,
+            together=light.together,
+            low=np.float64(self.extent[0]),
+            high=np.float64(self.extent[1]),
+            lamps=len(self.lamps),
+            lamp_list=self._described[albedo],
+            depths=_floats(points.depths),
+            radius=self.radius,
+            joined=JOINED / len(self.lamps),
             anisotropy=g,
             reduced=reduced_anisotropy(g),
             albedo=albedo,
@@ -219,6 +194,29 @@ class LampNearby:
             out=out,
         )
         return out
+
+    @cached_property
+    def _described(self) -> dict[float, Any]:
+        """The lamps as compiled kernels read them, by albedo."""
+        return {
+            albedo: array_of([_describe(lamp, *cells) for lamp, cells in zip(self.lamps, light.cells)])
+            for albedo, light in self.lights.items()
+        }
+
+
+def _describe(lamp: NearLamp, cells: np.ndarray, scale: float) -> structures.Shared:
+    start = lamp.start
+    return structures.NearbyLamp(
+        emitters=len(lamp.emitters),
+        parts=array_of([describe_emitter(emitter) for emitter in lamp.emitters]),
+        power=lamp.power,
+        place=np.float64(lamp.place),
+        cells=cells,
+        scale=scale,
+        start=None if start is None else _floats(start.depths),
+        radius=0.0 if start is None else start.radius,
+        around=0.0 if start is None else start.around,
+    )
 
 
 def _floats(values: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from ..source_terms.nearby_light import NearbyMedium, nearby_light
 from ..transport.discrete_ordinates import DiscreteOrdinates
 from ..transport.scattered_fluence import FluenceLattice
 from .conditions import Bounds
-from .lamp_nearby import LampAtPoints, LampNearby, SoftStart, transport_share
+from .lamp_nearby import NearLamp, SoftStart, transport_share
 
 # Sample points along an edge of a cell of the coarse transport for the visibility of the sun.
 VISIBILITY_SAMPLES = 3
@@ -90,7 +90,7 @@ class PlacedSun:
 
 @dataclass(frozen=True)
 class PlacedLamp:
-    """A lamp of power 1; a `PredictedLight` and a `NearLight`. radius: by which its light is softened."""
+    """A lamp of power 1; a `PredictedLight`. radius: by which its light is softened."""
 
     lamp: PredictedLamp
     cube: Cube
@@ -99,9 +99,9 @@ class PlacedLamp:
     any_thickness, shadow_map = False, None
 
     @property
-    def near(self) -> "PlacedLamp":
+    def near(self) -> "PlacedLamps":
         """As of PredictedLight."""
-        return self
+        return PlacedLamps([self], [1.0], self.albedos)
 
     @property
     def key(self) -> Hashable:
@@ -123,7 +123,7 @@ class PlacedLamp:
 
     def source(self, cells: int) -> LampBeam:
         """As of PlacedLight."""
-        return LampBeam(self.beam)
+        return LampBeam([(self.beam, 1.0)])
 
     def scale(self, fluence: np.ndarray) -> float:
         """As of PredictedLight."""
@@ -133,6 +133,10 @@ class PlacedLamp:
         """As of PredictedLight."""
         return softened(self.lamp.reference(positions), self.radius)
 
+    def shares(self, positions: np.ndarray) -> np.ndarray:
+        """Fractions float32 (N, n) of the light at world positions (N, 3) that each lamp gives, without attenuation."""
+        return self.lamp.shares(positions)
+
     def towards(self, positions: np.ndarray) -> np.ndarray:
         """As of PredictedLight."""
         return directions_to(self.beam.place, positions)
@@ -141,16 +145,8 @@ class PlacedLamp:
         """As of PredictedLight."""
         return self.beam.unit_depth(cells, cancel)
 
-    def transport_share(self, extent: Bounds) -> float:
-        """As of NearLight."""
-        return transport_share(self.beam.place, *extent)
-
-    def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As of NearLight."""
-        return nearby_light(solver, medium, self.beam, cancel)
-
     def soft_start(self, sigma_hat: float, density: FluenceLattice) -> SoftStart | None:
-        """As of NearLight."""
+        """Where the light of a soft falloff starts to be scattered, or None. density: of the coarse cells."""
         source = self.beam.emitters[0].source
         if not source.soft_falloff or source.radius == 0.0:
             return None
@@ -159,14 +155,85 @@ class PlacedLamp:
         around = float(density.values(middle + away.reshape(3, -1).T).mean())
         return SoftStart(radius, around, start_depths(around * radius * sigma_hat))
 
-    def at_points(self, nearby: LampNearby, positions: np.ndarray, depth: np.ndarray) -> LampAtPoints:
+
+@dataclass(frozen=True)
+class PlacedLamps:
+    """Lamps of power 1, each times a factor, in one cube; a `PredictedLight` and a `NearLight`."""
+
+    lamps: Sequence[PlacedLamp]
+    powers: Sequence[float]
+    albedos: Sequence[float] = ()
+    any_thickness, shadow_map = False, None
+
+    @property
+    def near(self) -> "PlacedLamps":
+        """As of PredictedLight."""
+        return self
+
+    @property
+    def cube(self) -> Cube:
+        """As of PlacedLight."""
+        return self.lamps[0].cube
+
+    @property
+    def key(self) -> Hashable:
+        """As of PlacedLight."""
+        return tuple(lamp.key for lamp in self.lamps), tuple(self.powers)
+
+    @property
+    def direction(self) -> np.ndarray:
+        """As of PlacedLight, towards the first."""
+        return self.lamps[0].direction
+
+    def source(self, cells: int) -> LampBeam:
+        """As of PlacedLight."""
+        return LampBeam([(lamp.beam, power) for lamp, power in zip(self.lamps, self.powers)])
+
+    def scale(self, fluence: np.ndarray) -> float:
+        """As of PredictedLight."""
+        return self.lamps[0].scale(fluence)
+
+    def irradiance(self, positions: np.ndarray) -> np.ndarray:
+        """As of PredictedLight."""
+        return self._irradiances(positions).sum(axis=1)
+
+    def shares(self, positions: np.ndarray) -> np.ndarray:
+        """As of PlacedLamp."""
+        given = self._irradiances(positions)
+        return (given / np.maximum(given.sum(axis=1), 1e-300)[:, None]).astype(np.float32)
+
+    def _irradiances(self, positions: np.ndarray) -> np.ndarray:
+        return np.stack([power * lamp.irradiance(positions) for lamp, power in zip(self.lamps, self.powers)], axis=1)
+
+    def towards(self, positions: np.ndarray) -> np.ndarray:
+        """As of PredictedLight, to the first."""
+        return self.lamps[0].towards(positions)
+
+    def unit_depth(self, cells: CubeCells, cancel: CancelToken = NEVER) -> tuple[np.ndarray, float]:
+        """As of PredictedLight, of the first."""
+        return self.lamps[0].unit_depth(cells, cancel)
+
+    def transport_share(self, extent: Bounds) -> float:
         """As of NearLight."""
-        # What a spot's cone or an area light's side withholds is no optical depth: nothing scatters forwards there.
-        fluence = self.lamp.fluence(positions)
-        given = np.minimum(fluence / np.maximum(self.lamp.reference(positions), 1e-30), 1.0)
-        depth = np.maximum(depth + np.log(np.maximum(given, 1e-30)), 0.0)
-        received = softened(fluence, FORWARD_RADIUS * self.radius)
-        return nearby.lit(self.beam.place, self.cube.positions(positions), received, depth)
+        return min(transport_share(lamp.beam.place, *extent) for lamp in self.lamps)
+
+    def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
+        """As of NearLight."""
+        return nearby_light(
+            solver, medium, [(lamp.beam, power) for lamp, power in zip(self.lamps, self.powers)], cancel
+        )
+
+    def seen(self, sigma_hat: float, density: FluenceLattice) -> list[NearLamp]:
+        """As of NearLight."""
+        return [
+            NearLamp(lamp.lamp.emitters, power, lamp.beam.place, lamp.soft_start(sigma_hat, density))
+            for lamp, power in zip(self.lamps, self.powers)
+        ]
+
+    @property
+    def radius(self) -> float:
+        """As of NearLight."""
+        return FORWARD_RADIUS * self.lamps[0].radius
 
 
 @dataclass(frozen=True)

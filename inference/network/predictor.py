@@ -179,7 +179,7 @@ class VolumePredictor:
                 conditions = replace(conditions, sigma_hat=sigma_t * self.cube.edge)
                 nearby = self._every_light.nearby(conditions, light.albedos, share, tasks)
                 prepared = NearbyPredictor(
-                    nearby=nearby, light=light.near, cube=self.cube, network=network, outside=self.outside(sigma_t)
+                    nearby=nearby, cube=self.cube, network=network, outside=self.outside(sigma_t)
                 )
             assert prepared is not None
             self._last[type(light)] = key, prepared

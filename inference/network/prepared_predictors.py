@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from ..grids.working_cube import Cube
-from .conditions import NearLight, PredictedLight, RayPoints
+from .conditions import PredictedLight, RayPoints
 from .interfaces import PreparedPrediction
-from .lamp_nearby import LampNearby
+from .lamp_nearby import LampNearby, NearbyPoints
 from .prepared_rays import PreparedRays
 from .uncertainty import Predicted, UncertaintyNetwork
 
@@ -83,13 +83,12 @@ class PreparedPredictor:
 
 @dataclass(frozen=True, kw_only=True)
 class NearbyPredictor:
-    """What the coarse transport tells of a light near a volume, in part or altogether; a `RadiancePredictor`.
+    """What the coarse transport tells of lamps near a volume, in part or altogether; a `RadiancePredictor`.
 
     network: the other part, None without any. outside: as of `VolumePredictor.outside`.
     """
 
     nearby: LampNearby
-    light: NearLight
     cube: Cube
     network: PreparedPredictor | None
     outside: float
@@ -100,15 +99,16 @@ class NearbyPredictor:
         return self.network is None
 
     def predict(self, points: RayPoints, albedos: Sequence[float]) -> np.ndarray:
-        """As of RadiancePredictor; the ray features are those of `march_lamps`."""
-        assert points.ray_features is not None
-        asked, nearby = points.in_cube(self.cube), self.nearby
-        light = self.light.at_points(nearby, points.positions, points.ray_features[:, 0])
-        each = [nearby.radiance(albedo, asked.positions, asked.directions, light) for albedo in albedos]
-        told = np.stack(each).astype(np.float32)
+        """As of RadiancePredictor."""
+        depths, asked = points.lamp_depths, points.in_cube(self.cube)
+        if depths is None:
+            assert points.ray_features is not None
+            depths = points.ray_features[None, :, 0]
+        near = NearbyPoints(points.positions, asked.positions, asked.directions, depths)
+        told = np.stack([self.nearby.radiance(albedo, near) for albedo in albedos])
         if self.network is not None:
-            told *= nearby.share
-            told += (1.0 - nearby.share) * self.network.predict(points, albedos)
+            told *= self.nearby.share
+            told += (1.0 - self.nearby.share) * self.network.predict(points, albedos)
         return told
 
     def deviation(self, network: UncertaintyNetwork, points: RayPoints, radiance: Predicted) -> np.ndarray:

@@ -25,6 +25,7 @@ from ..numerics.alike import SAME, alike
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
+from ..source_terms.forward_peak import MIN_FORWARD
 from ..source_terms.lamp_beam import CubeCells
 from ..source_terms.nearby_light import NearbyMedium
 from ..transport.discrete_ordinates import LEVEL, DiscreteOrdinates
@@ -41,7 +42,7 @@ from .conditions import Conditions, LitConditions, PlacedLight
 from .environment_features import blurs
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
 from .interfaces import PointNetwork, Predictor
-from .lamp_nearby import MIN_ALBEDO, LampNearby
+from .lamp_nearby import MIN_ALBEDO, LampNearby, NearbyTransport
 from .network import Kind
 from .placed_lights import PlacedSkies
 from .prepared_rays import PreparedRays
@@ -264,14 +265,17 @@ class RayPredictor(Predictor):
         """Scattered light of several lights for lookups along camera rays. Raises Cancelled."""
 
         def solve(conditions: LitConditions) -> tuple[np.ndarray, float]:
-            solved = self._solve(conditions, tasks.cancel)
+            solved = self._together(conditions, tasks.cancel)
             return solved.light, solved.scale
 
         with tasks.cancel.locked(self._lock):
             for conditions in lights:
                 if conditions.albedo is None:
                     self._solver(conditions)
-            solved = list(tasks.each(solve, lights))
+            each = [own for conditions in lights for own in self._apart(conditions)]
+            held = list(tasks.each(lambda own: self._solve(own, tasks.cancel), each))
+            solved = [solve(conditions) for conditions in lights]
+            del held
         scales = [scale for _, scale in solved]
         return ScatteredFluence.in_cube(self.cube, [light for light, _ in solved], self.anisotropy, scales)
 
@@ -285,11 +289,22 @@ class RayPredictor(Predictor):
         """The transport of a near light for some albedos; share: as in LampNearby. Raises Cancelled."""
         assert conditions.light.near is not None
         with tasks.cancel.locked(self._lock):
-            solved = {albedo: self._solve(replace(conditions, albedo=albedo), tasks.cancel) for albedo in albedos}
-        lights = {albedo: (FluenceLattice(transport.cells), transport.scale) for albedo, transport in solved.items()}
+            asked = {albedo: replace(conditions, albedo=albedo) for albedo in albedos}
+            lights = {}
+            for albedo, of_albedo in asked.items():
+                each = [self._solve(own, tasks.cancel) for own in self._apart(of_albedo)]
+                together = self._together(of_albedo, tasks.cancel).cells if len(each) > 1 else None
+                lights[albedo] = NearbyTransport([(solved.cells, solved.scale) for solved in each], together)
         density = FluenceLattice(np.pad(self.coarse, 1)[..., None])
-        start = conditions.light.near.soft_start(conditions.sigma_hat, density)
-        return LampNearby(share, lights, self.anisotropy, density, self.density.extent, start)
+        return LampNearby(
+            share=share,
+            lights=lights,
+            lamps=conditions.light.near.seen(conditions.sigma_hat, density),
+            anisotropy=self.anisotropy,
+            density=density,
+            extent=self.density.extent,
+            radius=conditions.light.near.radius,
+        )
 
     def varying_albedo(
         self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL
@@ -309,6 +324,28 @@ class RayPredictor(Predictor):
                     cancel,
                 )
             return known, self._coloured[key]
+
+    def _apart(self, conditions: LitConditions) -> list[LitConditions]:
+        """The same for each of several lamps whose light is not linear in theirs; else for all of the light."""
+        near = conditions.light.near
+        if conditions.albedo is None or near is None or self.anisotropy**2 < MIN_FORWARD:
+            return [conditions]
+        return [replace(conditions, light=lamp) for lamp in near.lamps]
+
+    def _together(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
+        """The transport of a light; of several lamps apart, fluence and flux of all of them."""
+        each = self._apart(conditions)
+        if len(each) == 1:
+            return self._solve(each[0], cancel)
+        assert conditions.light.near is not None
+        key = conditions.key
+        if key not in self._solved:
+            solved = [self._solve(own, cancel) for own in each]
+            total = np.zeros((*solved[0].cells.shape[:3], 4), np.float32)
+            for own, power in zip(solved, conditions.light.near.powers):
+                total += np.float32(power * own.scale) * own.cells[..., :4]
+            self._solved[key] = self._shared.solved[key] = _Solved(total, 1.0, False)
+        return self._solved[key]
 
     def _solve(self, conditions: LitConditions, cancel: CancelToken) -> _Solved:
         """The transport of a light, solved once."""

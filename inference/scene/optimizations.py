@@ -38,7 +38,7 @@ OPTIMIZATIONS = {
         "Join Soft Suns", "Multiple scattering of the directions of a soft sun is predicted once for all of them", 0.02
     ),
     "distant_lamps": Optimization(
-        "Join Distant Lamps", "Multiple scattering of lamps from about the same direction is predicted once", 0.02
+        "Join Lamps", "Lamps near a volume, or from about the same direction, share multiple scattering", 0.02
     ),
     "equal_channels": Optimization(
         "Share Equal Extinction", "Color channels of equal extinction share rays, lookup grids and network", ROUNDING

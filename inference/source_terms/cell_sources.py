@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light as the coarse transport takes it in: a sun's beam, a lamp's, or what enters through the faces of the cube."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,28 +71,37 @@ class SunBeam:
 
 @dataclass(frozen=True)
 class LampBeam(CellSource):
-    """A lamp of power 1; a `CellSource` of its scattered light. beam: of the lamp, on any number of cells."""
+    """Lamps; a `CellSource` of their scattered light. beams: of lamps of power 1, each with a factor."""
 
-    beam: Beam
+    beams: Sequence[tuple[Beam, float]]
     linear = False
 
     def followers(self, solver: DiscreteOrdinates, fields: Fields, cancel: CancelToken) -> Sequence[Follower]:
         """As of CellSource."""
-        light, towards = self.beam(solver, cancel)
-        beams = scattered_beams(light.astype(np.float32), towards.astype(np.float32), solver.anisotropy)
+        beams = np.zeros((len(ORDINATES), *solver.density.shape), np.float32)
+        for light, towards in self._lit(solver, cancel):
+            beams += scattered_beams(light, towards.astype(np.float32), solver.anisotropy)
         if solver.varies:
             beams *= solver.albedo
         return solver.sweeps.followers(fields.source, fields.swept, beams=beams)
 
     def arriving(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
         """As of CellSource."""
-        light, towards = self.beam(solver, cancel)
-        return solver.solve(self, cancel) + _flowing(light, -towards)
+        return solver.solve(self, cancel) + self._flowing(solver, cancel)
 
     def unscattered(self, solver: DiscreteOrdinates, cancel: CancelToken = NEVER) -> np.ndarray:
         """As of CellSource."""
-        light, towards = self.beam(CubeCells(solver.matter, solver.sigma_hat), cancel)
-        return _flowing(light, -towards)
+        return self._flowing(CubeCells(solver.matter, solver.sigma_hat), cancel)
+
+    def _flowing(self, cells: DiscreteOrdinates | CubeCells, cancel: CancelToken) -> np.ndarray:
+        return np.sum([_flowing(light, -towards) for light, towards in self._lit(cells, cancel)], axis=0)
+
+    def _lit(
+        self, cells: DiscreteOrdinates | CubeCells, cancel: CancelToken
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for beam, power in self.beams:
+            light, towards = beam(cells, cancel)
+            yield (light * power).astype(np.float32), towards
 
 
 @dataclass(frozen=True)

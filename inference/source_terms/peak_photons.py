@@ -15,6 +15,7 @@ from ..kernels.library import call
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.spot_cone import SpotCone
 from .forward_peak import ForwardPeak
+from .held_cells import box_of
 
 #: Photons of a lamp, and between two polls of cancellation.
 PHOTONS, PHOTONS_PER_CALL = 100_000, 20_000
@@ -28,6 +29,8 @@ SUMS = 5
 CERTAIN = 0.01
 # By how much smoothing once lessens the variance of light that is seen along a line of cells.
 LESS = 4.0
+# Cells by which smoothing may move light.
+SMOOTHED = 4
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ def peak_light(
         cancel.check()
         span = slice(first, first + PHOTONS_PER_CALL)
         _follow(lamp, peak, starts[span], numbers[span], sums)
-    light = _smoothed(np.ascontiguousarray(np.moveaxis(sums, -1, 0)), lamp.closed is None)
+    light, box = np.zeros((SUMS - 1, *lamp.depth.shape), np.float32), (slice(None), *box_of(sums[..., 0], SMOOTHED))
+    light[box] = _smoothed(np.ascontiguousarray(np.moveaxis(sums, -1, 0)[box]), lamp.closed is None)
     light *= np.float32(power)
     return light
 

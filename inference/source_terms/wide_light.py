@@ -22,6 +22,8 @@ from .held_cells import with_neighbours
 #: Directions along an edge of each face of a cube.
 FACE = 4
 MOMENTS = 16
+#: Most lobes of a cell whose directions are kept apart.
+KEPT = 2
 # Kinds of cells.
 EMPTY, NEIGHBOUR, FILLED = 0, 1, 2
 # Lower bound of the optical thickness of a cell.
@@ -45,6 +47,37 @@ class Lobe:
         """Light of a fluence (x, y, z) and a flux (3, x, y, z)."""
         size, least = np.sqrt((flux**2).sum(axis=0)), np.float32(1e-30)
         return cls(fluence, flux / np.maximum(size, least), np.minimum(size / np.maximum(fluence, least), 1.0))
+
+    def chosen(self, where: np.ndarray, other: "Lobe") -> "Lobe":
+        """This one in the cells of a mask (x, y, z), another elsewhere."""
+        parts = zip((self.amount, self.along, self.straightness), (other.amount, other.along, other.straightness))
+        return Lobe(*(np.where(where, mine, others) for mine, others in parts))
+
+
+class JoinedLobes:
+    """The sum of many lobes: the brightest of each cell, and one of the mean direction of all others."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        zeros = np.zeros((3, *shape), np.float32)
+        self._kept: list[Lobe] = []
+        self._fluence, self._flux = zeros[0], zeros
+
+    def add(self, lobe: Lobe) -> None:
+        """Add a lobe; those added may be kept as they are."""
+        if len(self._kept) < KEPT:
+            self._kept.append(lobe)
+            return
+        for number, kept in enumerate(self._kept):
+            brighter = lobe.amount > kept.amount
+            self._kept[number] = lobe.chosen(brighter, kept)
+            lobe = kept.chosen(brighter, lobe)
+        self._fluence = self._fluence + lobe.amount
+        self._flux = self._flux + lobe.amount * lobe.straightness * lobe.along
+
+    @property
+    def lobes(self) -> list[Lobe]:
+        """At most KEPT and one."""
+        return [*self._kept, *([Lobe.of(self._fluence, self._flux)] if self._fluence.any() else [])]
 
 
 def scattered_wide(lobes: Sequence[Lobe], peak: ForwardPeak, along: np.ndarray, shares: np.ndarray) -> np.ndarray:

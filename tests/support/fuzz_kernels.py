@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from inference import Surface, Velocity
+from inference import PointLight, Surface, Velocity
 from inference.baking.light_ahead import light_ahead
 from inference.environments.open_depths import OpenDepths
 from inference.features.final_gather import FinalGather
@@ -33,7 +33,13 @@ from inference.kernels.library import Kernels, call
 from inference.marching.light_paths import PathTracer, ScatteringMedia
 from inference.marching.marcher import Marcher
 from inference.marching.ray_steps import RayBatch
-from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
+from inference.network.lamp_nearby import (
+    LampNearby,
+    NearbyPoints,
+    NearbyTransport,
+    NearLamp,
+    SoftStart,
+)
 from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.onnx.products import Layer
 from inference.scene.emitters import LampSource
@@ -327,14 +333,20 @@ def opened(random: np.random.Generator) -> None:
 
 
 def nearby(random: np.random.Generator) -> None:
-    """Light of a lamp nearby at points anywhere."""
-    n, count, places = int(random.integers(2, 12)), int(random.integers(1, 40)), int(random.integers(1, 9))
-    lattice = FluenceLattice(spoiled(random, (n, n, n, 20)))
+    """Light of lamps nearby at points anywhere."""
+    n, count = int(random.integers(3, 12)), int(random.integers(1, 40))
     anisotropy = float(random.choice([-1.0, 1.0]) * random.uniform(0.05, 0.99))
-    lamp = LampNearby(1.0, {0.9: (lattice, 2.0)}, anisotropy, lattice, (np.full(3, -0.5), np.full(3, 0.5)), None)
-    way = Way(*(spoiled(random, (places, count)) for _ in range(2)))
-    light = LampAtPoints(spoiled(random, (count, 3)), *(spoiled(random, (count,)) for _ in range(3)), way)
-    lamp.radiance(0.9, spoiled(random, (count, 3)), spoiled(random, (count, 3)), light)
+    lamps, cells = [], []
+    for _ in range(int(random.integers(1, 4))):
+        place = random.normal(size=3)
+        emitters = PointLight(tuple(place), 1.0, 0.1).emitters(np.full(3, -0.5), np.full(3, 0.5))
+        start = SoftStart(0.1, float(random.random()), spoiled(random, (64,))) if random.random() < 0.5 else None
+        lamps.append(NearLamp(emitters, float(random.random()), place, start))
+        cells.append((spoiled(random, (n, n, n, 20)), 2.0))
+    transport = NearbyTransport(cells, spoiled(random, (n, n, n, 4)) if len(lamps) > 1 else None)
+    density, box = FluenceLattice(spoiled(random, (n, n, n, 1))), (np.full(3, -0.5), np.full(3, 0.5))
+    points = NearbyPoints(*(spoiled(random, (count, 3)) for _ in range(3)), spoiled(random, (len(lamps), count)))
+    LampNearby(1.0, {0.9: transport}, lamps, anisotropy, density, box, 0.01).radiance(0.9, points)
 
 
 def scattering(random: np.random.Generator) -> None:

@@ -131,7 +131,7 @@ class Transport:
             return out
         light -= len(lights.suns)
         if light < len(lights.lamps):
-            out[:4] = solver.solve(LampBeam(self._lamp(light)))
+            out[:4] = solver.solve(LampBeam([(self._lamp(light), 1.0)]))
             return out
         light -= len(lights.lamps)
         if light < len(lights.environments):

@@ -195,7 +195,7 @@ def test_lamps_light(albedo):
         albedo = random.uniform(0.2, 1.0, density.shape).astype(np.float32)
     triangles = np.array([[[-0.2, -0.5, -0.5], [-0.2, 0.5, -0.5], [-0.2, 0.0, 0.5]]])
     expected, found = in_numpy_and_compiled(
-        lambda: DiscreteOrdinates(density, 20.0, 0.4, triangles, albedo).solve(LampBeam(lamp))
+        lambda: DiscreteOrdinates(density, 20.0, 0.4, triangles, albedo).solve(LampBeam([(lamp, 1.0)]))
     )
     assert expected.shape == (4, 16, 16, 16) and expected[0].max() > 0.0
     for light in found:

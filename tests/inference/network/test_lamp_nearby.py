@@ -1,13 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Directions of the light around a lamp, against photons followed from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from inference.network.lamp_nearby import LampAtPoints, LampNearby, Way
+from inference import AreaLight, PointLight, SpotLight
+from inference.network.lamp_nearby import (
+    LampNearby,
+    NearbyPoints,
+    NearbyTransport,
+    NearLamp,
+    SoftStart,
+)
 from inference.scene.phase_function import henyey_greenstein, reduced_anisotropy
 from inference.transport.scattered_fluence import FluenceLattice
-from tests.reference.lamp_nearby import radiance, straight_light
+from tests.reference.lamp_nearby import LampAtPoints, Ways, radiance, straight_light, ways_to
 from tests.support.kernels import VARIANTS, variant
 
 ANISOTROPY, ALBEDO = 0.857, 0.9
@@ -38,10 +47,10 @@ def test_light_turns_where_the_matter_is():
         density = np.zeros((66, 66, 66, 1), np.float32)
         density[1 + 16 * quarter : 17 + 16 * quarter] = 2.0
         lattice, box = FluenceLattice(density), (np.full(3, -0.5), np.full(3, 0.5))
-        nearby = LampNearby(1.0, {}, ANISOTROPY, lattice, box)
+        nearby = LampNearby(1.0, {}, (), ANISOTROPY, lattice, box, 0.01)
         # Outside of the box there is none, wherever the lamp stands.
         for lamp in (np.array([-0.5, 0.1, 0.2]), np.array([-2.5, 0.1, 0.2])):
-            way = nearby.way(lamp, np.array([[0.5, 0.1, 0.2]]))
+            way = ways_to(nearby, lamp, np.array([[0.5, 0.1, 0.2]]))
             part = ((quarter + 0.5) / 4 - 0.5 - lamp[0]) / (0.5 - lamp[0])
             assert way.means(ANISOTROPY, 6)[5] == pytest.approx(ANISOTROPY ** (5 * part))
 
@@ -49,7 +58,7 @@ def test_light_turns_where_the_matter_is():
 def _moment(order, depth, parts):
     """Of light of irradiance 1 that has turned by small angles alone."""
     light = LampAtPoints(
-        np.array([[0.0, 0.0, 1.0]]), np.ones(1), *np.full((2, 1), depth), Way(parts[:, None], np.full((4, 1), 0.25))
+        np.array([[0.0, 0.0, 1.0]]), np.ones(1), *np.full((2, 1), depth), Ways(parts[:, None], np.full((4, 1), 0.25))
     )
     return straight_light(light, ANISOTROPY, ALBEDO)[order][0]
 
@@ -81,25 +90,63 @@ def _traced(order, least, most, photons=150_000):
     return found / photons
 
 
-@pytest.mark.parametrize("anisotropy", [0.857, 0.3, 0.97, -0.5])
-@pytest.mark.parametrize("number", VARIANTS)
-def test_compiled_light_equals_its_twin(anisotropy, number):
-    random = np.random.default_rng(12)
+def lamp_of(random, light, start=None):
+    """A lamp, and its light on cells over a factor."""
     cells = 0.2 * random.normal(size=(66, 66, 66, 20)).astype(np.float32)
     cells[..., 0] = 1.0 + np.abs(cells[..., :16]).sum(axis=-1)
     cells[..., 16] = np.abs(cells[..., 16:]).sum(axis=-1)
+    emitters = light.emitters(np.full(3, -0.5), np.full(3, 0.5))
+    return NearLamp(emitters, float(random.uniform(0.2, 0.8)), np.array(light.centre), start), (cells, 0.3)
+
+
+@pytest.mark.parametrize("anisotropy", [0.857, 0.3, 0.97, -0.5])
+@pytest.mark.parametrize("lights", ["one", "three"])
+@pytest.mark.parametrize("number", VARIANTS)
+def test_compiled_light_equals_its_twin(anisotropy, lights, number, monkeypatch):
+    monkeypatch.setattr("inference.network.lamp_nearby.JOINED", 0.0)
+    random = np.random.default_rng(12)
+    matrix = np.eye(4)
+    matrix[:3, 3] = -0.1, 0.0, 0.8
+    lamps = [
+        lamp_of(random, PointLight((0.1, 0.2, 0.45), 1.0, 0.05), SoftStart(0.05, 0.4, np.linspace(0.0, 0.5, 64))),
+        lamp_of(random, SpotLight((0.1, -0.2, 0.45), (0.0, 0.3, -1.0), 1.0, 0.9)),
+        lamp_of(random, AreaLight(matrix, "square", 0.2, 1.0)),
+    ][: 1 if lights == "one" else 3]
+    # A little beside the sum of the lamps, of which some is left.
+    parts = [np.float32(1.01 * lamp.power * scale) * cells[..., :4] for lamp, (cells, scale) in lamps]
+    together = np.sum(parts, axis=0, dtype=np.float32) if len(lamps) > 1 else None
+    transport = NearbyTransport([cells for _, cells in lamps], together)
     density = random.random((66, 66, 66, 1)).astype(np.float32)
-    box = np.full(3, -0.5), np.full(3, 0.5)
-    nearby = LampNearby(1.0, {ALBEDO: (FluenceLattice(cells), 0.3)}, anisotropy, FluenceLattice(density), box)
-    points, omega = random.uniform(-0.5, 0.5, (203, 3)), random.normal(size=(203, 3))
-    omega /= np.linalg.norm(omega, axis=1)[:, None]
-    light = nearby.lit(
-        np.array([0.1, 0.2, 0.45]), points, random.uniform(0.0, 20.0, 203), random.uniform(0.0, 9.0, 203)
+    nearby = LampNearby(
+        share=1.0,
+        lights={ALBEDO: transport},
+        lamps=[lamp for lamp, _ in lamps],
+        anisotropy=anisotropy,
+        density=FluenceLattice(density),
+        extent=(np.full(3, -0.5), np.full(3, 0.5)),
+        radius=0.004,
     )
-    # Beside a cone, where there is no light of the lamp's own.
-    light.irradiance[::5] = 0.0
-    expected = radiance(nearby, ALBEDO, points, omega, light)
+    positions, omega = random.uniform(-0.5, 0.5, (203, 3)), random.normal(size=(203, 3))
+    omega /= np.linalg.norm(omega, axis=1)[:, None]
+    points = NearbyPoints(positions, positions, omega, random.uniform(0.0, 9.0, (len(lamps), 203)).astype(np.float32))
+    expected = radiance(nearby, ALBEDO, points)
     assert np.all(expected > 0.0)
     with variant(number):
-        found = nearby.radiance(ALBEDO, points, omega, light)
+        found = nearby.radiance(ALBEDO, points)
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4)
+
+
+def test_lamps_that_give_little_are_told_with_all_others():
+    """About as if each were told apart."""
+    random = np.random.default_rng(3)
+    pairs = [lamp_of(random, PointLight(tuple(place), 1.0)) for place in random.uniform(-0.4, 0.4, (5, 3))]
+    lamps = [replace(lamp, power=power) for (lamp, _), power in zip(pairs, (1.0, 0.8, 2e-3, 1e-3, 5e-4))]
+    cells = [cells for _, cells in pairs]
+    together = sum(np.float32(lamp.power * scale) * values[..., :4] for lamp, (values, scale) in zip(lamps, cells))
+    density, box = FluenceLattice(np.ones((66, 66, 66, 1), np.float32)), (np.full(3, -0.5), np.full(3, 0.5))
+    nearby = LampNearby(1.0, {ALBEDO: NearbyTransport(cells, together)}, lamps, 0.3, density, box, 0.004)
+    positions, omega = random.uniform(-0.5, 0.5, (203, 3)), random.normal(size=(203, 3))
+    omega /= np.linalg.norm(omega, axis=1)[:, None]
+    points = NearbyPoints(positions, positions, omega, np.ones((5, 203), np.float32))
+    found, expected = nearby.radiance(ALBEDO, points), radiance(nearby, ALBEDO, points)
+    assert 0.0 < np.abs(found - expected).max() < 0.01 * expected.mean()

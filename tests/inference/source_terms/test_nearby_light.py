@@ -23,7 +23,7 @@ def light_of(sigma, anisotropy, albedo, density, triangles=None):
     """Unscattered and scattered light in cells."""
     solver = DiscreteOrdinates(density, sigma, anisotropy, triangles, albedo)
     medium, lamp = NearbyMedium(density, sigma, anisotropy, albedo), lamp_at(PLACE)
-    return lamp(CubeCells(density, sigma))[0], nearby_light(solver, medium, lamp)
+    return lamp(CubeCells(density, sigma))[0], nearby_light(solver, medium, [(lamp, 1.0)])
 
 
 @pytest.mark.parametrize("albedo", [0.3, 0.9])
@@ -47,3 +47,14 @@ def test_a_wall_takes_light_from_behind_it():
     near, behind = walled[:, 22:].sum(), walled[:, :17].sum()
     assert 0.7 * open_[:, 22:].sum() < near < 1.05 * open_[:, 22:].sum()
     assert behind < 0.8 * open_[:, :17].sum()
+
+
+@pytest.mark.parametrize("anisotropy", [0.0, 0.02])
+def test_light_of_several_lamps_is_the_sum_of_theirs(anisotropy):
+    density = np.ones((CELLS,) * 3, np.float32)
+    solver = DiscreteOrdinates(density, 12.0, anisotropy, albedo=0.9)
+    medium = NearbyMedium(density, 12.0, anisotropy, 0.9)
+    places = (PLACE, -PLACE, PLACE[::-1], np.array([0.3, 0.3, -0.3]))
+    lamps = list(zip(map(lamp_at, places), (0.4, 0.3, 0.2, 0.1)))
+    found, expected = nearby_light(solver, medium, lamps), sum(nearby_light(solver, medium, [one]) for one in lamps)
+    assert np.abs(found - expected).mean() < 2e-3 * expected[0].mean()
