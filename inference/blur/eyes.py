@@ -13,12 +13,8 @@ import numpy as np
 from ..scene.camera import Camera, Lens
 from .shutter import camera_at, shutter_times
 
-#: Edge in pixels of the block within which all pixels have different eyes.
+#: Edge in pixels of the block within which all pixels have different eyes: a power of two.
 BLOCK = 4
-# Places of a block's pixels, by row and column, in the order of eyes: squares of 2 x 2 pixels follow each other, and
-# such that rows and columns, along which things move, see at evenly spread times.
-_ROW, _COLUMN = np.indices((BLOCK, BLOCK))
-_PLACES = (_ROW & 1) + 2 * (_COLUMN & 1) + 4 * (_COLUMN >> 1) + 8 * (_ROW >> 1)
 
 
 @dataclass(frozen=True)
@@ -33,12 +29,14 @@ class Eyes:
 
     def of_pixels(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Numbers int (N, rays) of the eyes of pixels by column and row, int (N,)."""
-        return _PLACES[rows % BLOCK, columns % BLOCK][:, None] * self.rays + np.arange(self.rays)
+        return _places(columns, rows)[:, None] * self.rays + np.arange(self.rays)
 
     def pixels_of(self, number: int, window: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Columns int (C,) and rows (R,) of a window's pixels that an eye has rays through."""
-        x0, y0, x1, y1 = window
-        [[row, column]] = np.argwhere(number // self.rays == _PLACES)
+        place, (x0, y0, x1, y1) = number // self.rays, window
+        column, row = (
+            sum(place >> (2 * k + down) & 1 and 1 << k for k in range(BLOCK.bit_length())) for down in (0, 1)
+        )
         return x0 + np.arange((column - x0) % BLOCK, x1 - x0, BLOCK), y0 + np.arange((row - y0) % BLOCK, y1 - y0, BLOCK)
 
 
@@ -96,6 +94,15 @@ def _eye(camera: Camera, point: np.ndarray, beside: np.ndarray) -> Camera:
         oblique = lens.focus * axes[:, 2] + axes[:, :2] @ point
         matrix[:3, 2] = oblique / np.linalg.norm(oblique)
     return replace(camera, world_matrix=matrix, shift=(float(shift[0]), float(shift[1])), lens=None)
+
+
+def _places(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Places int (N,) of pixels in the order of their block: squares of 2 x 2 pixels follow each other."""
+    places, bit = np.zeros_like(columns), 1
+    while bit < BLOCK:
+        places += bit * ((columns & bit) + 2 * (rows & bit))
+        bit *= 2
+    return places
 
 
 def _spread(count: int) -> np.ndarray:

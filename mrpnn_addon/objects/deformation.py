@@ -2,6 +2,7 @@
 """Fog in meshes that change their shape: the velocities that carry it while the shutter is open."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mathutils.bvhtree import BVHTree
@@ -33,7 +34,7 @@ class Deformation:
         shape = ((1.0 - between) * self.vertices[before] + between * self.vertices[before + 1]).astype(np.float64)
         moved = (self.vertices[-1] - self.vertices[0]).astype(np.float64)
         triangles = self.mesh.numbers()
-        tree = BVHTree.FromPolygons(shape.tolist(), triangles.tolist(), all_triangles=True)
+        tree: Any = BVHTree.FromPolygons(shape.tolist(), triangles.tolist(), all_triangles=True)
         low, high = (find(self.vertices.reshape(-1, 3), axis=0) for find in (np.min, np.max))
         cell = float((high - low).max()) / CELLS
         counts = np.ceil((high - low) / cell).astype(int) + 1 + 2 * MARGIN
