@@ -9,9 +9,6 @@ import numpy as np
 from ..scene.camera import Camera, Shutter
 from ..scene.description import Motion, Surface
 
-# Of affine maps that fit how corners move: relative to the sum of their squares.
-RIDGE = 1e-6
-
 
 def shutter_times(shutter: Shutter, u: np.ndarray) -> np.ndarray:
     """Times (N,) from 0, opening, to 1, closing: as much light comes before each as u (N,) says, fractions."""
@@ -56,23 +53,6 @@ def corners_at(surface: Surface, time: float) -> np.ndarray:
         return surface.triangles
     matrix = matrix_at(surface.motion.world_matrices, time) @ np.linalg.inv(surface.motion.world_matrix)
     return np.asarray(surface.triangles @ matrix[:3, :3].T + matrix[:3, 3])
-
-
-def surface_frames(surface: Surface, times: np.ndarray) -> np.ndarray:
-    """As `moved_back`, of a surface: where its shape changes, the affine maps that are nearest to how it moves."""
-    if surface.deformed is None:
-        return moved_back(surface.motion, times)
-    at_frame, frames = surface.triangles.reshape(-1, 3), []
-    for time in times:
-        then = corners_at(surface, time).reshape(-1, 3)
-        middle = then.mean(axis=0)
-        from_middle, moved = then - middle, at_frame - then
-        # Across a flat surface nothing tells: there it keeps its size.
-        square = from_middle.T @ from_middle
-        square += (RIDGE * np.trace(square) + 1e-300) * np.eye(3)
-        linear = np.eye(3) + np.linalg.solve(square, from_middle.T @ (moved - moved.mean(axis=0))).T
-        frames.append(np.column_stack([linear, middle + moved.mean(axis=0) - linear @ middle]))
-    return np.array(frames)
 
 
 def matrix_at(matrices: Sequence[np.ndarray] | np.ndarray, time: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..grids.halving import halve
-from ..grids.working_cube import Cube, level0_density
+from ..grids.working_cube import Cube, extent, level0_density
 from ..kernels import structures
 from ..kernels.library import call
 from ..plan.resolution import LEVEL0_CELLS
@@ -57,12 +57,26 @@ def padded_pyramid(volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelT
     padded = [
         np.zeros(((LEVEL0_CELLS >> m) + 2 * margin,) * 3, np.float32) for m, margin in enumerate(margins(stencil))
     ]
-    levels = [inner_cells(values, m, stencil) for m, values in enumerate(padded)]
-    level0_density(volume, cube, cancel, levels[0])
-    for fine, coarse in zip(levels[:-1], levels[1:]):
+    level0_density(volume, cube, cancel, inner_cells(padded[0], 0, stencil))
+    # Of the others, what the volume reaches alone.
+    first, end = _reached(extent(volume, cube))
+    for m in range(1, len(padded)):
         cancel.check()
-        halve(fine, coarse)
+        first, end = first // 2, -(-end // 2)
+        fine, coarse = (inner_cells(padded[of], of, stencil) for of in (m - 1, m))
+        halve(fine[_box(2 * first, 2 * end)], coarse[_box(first, end)])
     return padded
+
+
+def _reached(extent: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Cells of level 0 that a volume of an extent, as of `density_lattices`, reaches: first (3,), last (3,) + 1."""
+    # A cell more on either side, for rounding.
+    first, end = np.floor((extent[0] + 0.5) * LEVEL0_CELLS) - 1.0, np.ceil((extent[1] + 0.5) * LEVEL0_CELLS) + 1.0
+    return tuple(np.clip(cells, 0, LEVEL0_CELLS).astype(int) for cells in (first, end))
+
+
+def _box(first: np.ndarray, end: np.ndarray) -> tuple[slice, ...]:
+    return tuple(map(slice, first, end))
 
 
 def inner_cells(padded: np.ndarray, m: int, stencil: Stencil) -> np.ndarray:

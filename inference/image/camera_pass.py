@@ -183,20 +183,18 @@ def add_sharpness(scene: PreparedScene, tile: Tile, samples: DepthSamples) -> No
             still -= share
     if scene.eye_distances is not None:
         x0, y0, x1, y1 = window
-        ends, surface = (
+        ends, moving = (
             values[y0 - top : y1 - top, x0 - left : x1 - left].ravel()
-            for values in (scene.eye_distances.distances, scene.eye_distances.surface)
+            for values in (scene.eye_distances.distances, scene.eye_distances.moving)
         )
-        hit = np.flatnonzero(np.isfinite(ends))
-        share, surface = np.full(len(hit), 1.0 / scene.eyes.rays), surface[hit]
-        for number in np.unique(surface[surface >= 0]):
-            some = hit[surface == number]
-            seen = some // scene.eyes.rays, ends[some], share[: len(some)]
-            _add_sharpness(scene, tile, tile.framebuffer.swept, seen, Movement(scene.eye_distances.frames[number]))
-        hit = hit[surface < 0]
+        share, some, hit = 1.0 / scene.eyes.rays, np.flatnonzero(moving >= 0), np.flatnonzero(np.isfinite(ends))
+        seen = some // scene.eyes.rays, ends[some], np.full(len(some), share)
+        velocities = scene.eye_distances.velocities[moving[some]]
+        _add_sharpness(scene, tile, tile.framebuffer.swept, seen, None, velocities)
+        hit = hit[moving[hit] < 0]
         pixel = np.concatenate([pixel, hit // scene.eyes.rays])
         distance = np.concatenate([distance, ends[hit]])
-        still = np.concatenate([still, share[: len(hit)]])
+        still = np.concatenate([still, np.full(len(hit), share)])
     some = np.flatnonzero(still > 0.0)
     _add_sharpness(scene, tile, tile.framebuffer.sharpness, (pixel[some], distance[some], still[some]))
 
@@ -211,7 +209,7 @@ def _add_sharpness(
 ) -> None:
     """Add to an image how sharp is what pixels (N,) see at distances (N,), weighted (N,), of what one movement moves.
 
-    velocities: (N, 3) in the world, or None.
+    velocities: (N, 3) in the world, or None; without a movement, per shutter.
     """
     pixel, distance, weight = seen
     if not len(pixel):
@@ -219,7 +217,9 @@ def _add_sharpness(
     assert scene.eyes is not None
     window = tile.camera.window
     frames = None if motion is None else motion.frames
-    times = NEVER if motion is None or motion.flow is None else motion.flow.times
+    times = NEVER if velocities is None else scene.eyes.times
+    if motion is not None:
+        times = NEVER if motion.flow is None else motion.flow.times
     spreads = Spreads(scene.eyes, tile.camera, window, (distance.min(), distance.max()), frames, times)
     found = spreads.sharpness(pixel, distance, velocities)
     for number, values in enumerate((*(found * weight[:, None]).T, weight)):

@@ -36,34 +36,55 @@ static void fetch_plane(const CellMeans *means, int64_t number, float *plane) {
     }
 }
 
-/* Means of a voxel plane over the cells of a plane (cells, cells). */
-static void average_plane(const CellMeans *means, int64_t number, float *out) {
+/* Cells of a plane that voxels reach: rows from first[0] to before end[0], and columns. */
+typedef struct {
+    int64_t first[2], end[2];
+} Reached;
+
+static Reached reached_cells(const CellMeans *means) {
+    Reached reached = {{means->cells, means->cells}, {0, 0}};
+    for (int axis = 0; axis < 2; axis++) {
+        int64_t width = means->widths[axis + 1];
+        for (int64_t n = 0; n < means->cells * width; n++) {
+            if (means->weights[axis + 1][n] == 0.0f) continue;
+            if (n / width < reached.first[axis]) reached.first[axis] = n / width;
+            reached.end[axis] = n / width + 1;
+        }
+    }
+    return reached;
+}
+
+/* Means of a voxel plane over the cells of a plane (cells, cells) that it reaches. */
+static void average_plane(const CellMeans *means, int64_t number, const Reached *reached, float *out) {
     int64_t cells = means->cells, rows = means->voxels[1], columns = means->voxels[2];
+    int64_t begin = reached->first[1], end = reached->end[1];
     float *plane = means->scratch + means->widths[0] * cells * cells, *lines = plane + rows * columns;
     fetch_plane(means, number, plane);
     for (int64_t i = 0; i < rows; i++) {
         const float *from = plane + i * columns;
         float *line = lines + i * cells;
-        for (int64_t c = 0; c < cells; c++) {
+        for (int64_t c = begin; c < end; c++) {
             const float *at = from + means->firsts[2][c], *weights = means->weights[2] + c * means->widths[2];
             float sum = 0.0f;
             for (int64_t n = 0; n < means->widths[2]; n++) sum += weights[n] * at[n];
             line[c] = sum;
         }
     }
-    for (int64_t r = 0; r < cells; r++) {
+    for (int64_t r = reached->first[0]; r < reached->end[0]; r++) {
         const float *line = lines + means->firsts[1][r] * cells, *weights = means->weights[1] + r * means->widths[1];
         float *to = out + r * cells;
-        for (int64_t c = 0; c < cells; c++) to[c] = 0.0f;
+        for (int64_t c = begin; c < end; c++) to[c] = 0.0f;
         for (int64_t n = 0; n < means->widths[1]; n++) {
             if (weights[n] == 0.0f) continue;
-            for (int64_t c = 0; c < cells; c++) to[c] += weights[n] * line[n * cells + c];
+            for (int64_t c = begin; c < end; c++) to[c] += weights[n] * line[n * cells + c];
         }
     }
 }
 
 int64_t NAMED(mean_cells, VARIANT)(const CellMeans *means) {
     int64_t cells = means->cells, width = means->widths[0];
+    Reached reached = reached_cells(means);
+    int64_t begin = reached.first[1], end = reached.end[1];
     for (int64_t x = means->begin; x < means->end; x++) {
         const float *weights = means->weights[0] + x * width;
         int empty = 1;
@@ -72,20 +93,20 @@ int64_t NAMED(mean_cells, VARIANT)(const CellMeans *means) {
             if (weights[n] == 0.0f) continue;
             empty = 0;
             if (means->held[slot] != number) {
-                average_plane(means, number, means->scratch + slot * cells * cells);
+                average_plane(means, number, &reached, means->scratch + slot * cells * cells);
                 means->held[slot] = number;
             }
         }
         if (empty) continue;
-        for (int64_t r = 0; r < cells; r++) {
+        for (int64_t r = reached.first[0]; r < reached.end[0]; r++) {
             float *to = means->out + x * means->strides[0] + r * means->strides[1];
-            for (int64_t c = 0; c < cells; c++) to[c] = 0.0f;
+            for (int64_t c = begin; c < end; c++) to[c] = 0.0f;
             for (int64_t n = 0; n < width; n++) {
                 const float *from = means->scratch + ((means->firsts[0][x] + n) % width * cells + r) * cells;
                 if (weights[n] == 0.0f) continue;
-                for (int64_t c = 0; c < cells; c++) to[c] += weights[n] * from[c];
+                for (int64_t c = begin; c < end; c++) to[c] += weights[n] * from[c];
             }
-            for (int64_t c = 0; c < cells; c++) to[c] = to[c] > 0.0f ? to[c] : 0.0f;
+            for (int64_t c = begin; c < end; c++) to[c] = to[c] > 0.0f ? to[c] : 0.0f;
         }
     }
     return means->end - means->begin;
@@ -181,12 +202,14 @@ static void refine_row(const Refinement *grid, int64_t i, int64_t j, int64_t cou
     int64_t columns = grid->shape[2], slab = grid->shape[1] * columns;
     const float *at = grid->values + grid->below[0][i] * slab + grid->below[1][j] * columns;
     float f = grid->fraction[0][i], g = grid->fraction[1][j];
-    for (int64_t c = 0; c < columns; c++) {
+    const int32_t *below = grid->below[2];
+    const float *fraction = grid->fraction[2];
+    /* Of the cells that the row lies between. */
+    int64_t end = below[count - 1] + 2;
+    for (int64_t c = below[0]; c < end; c++) {
         float low = lerp(at[c], at[slab + c], f), high = lerp(at[columns + c], at[slab + columns + c], f);
         line[c] = lerp(low, high, g);
     }
-    const int32_t *below = grid->below[2];
-    const float *fraction = grid->fraction[2];
     for (int64_t k = 0; k < count; k++) row[k] = lerp(line[below[k]], line[below[k] + 1], fraction[k]);
 }
 

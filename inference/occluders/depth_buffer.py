@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..blur.eyes import Eyes
-from ..blur.shutter import corners_at, surface_frames
+from ..blur.shutter import corners_at
 from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
+from ..scene.camera_rays import pixel_rays
 from ..scene.description import Surface
 from .rasterization import rasterize_nearest
 
@@ -186,14 +187,14 @@ class DepthBuffer:
 class EyeDistances:
     """Where surfaces end the rays of eyes through the pixels of a window.
 
-    distances: float32 (rows, columns, rays) along the rays; infinity where there is no surface. surface: int32 of the
-    same shape, the place in `frames` of the surface; -1 of one that stands still. frames: float64 (M, E, 3, 4), as of
-    Movement, of each surface that moves.
+    distances: float32 (rows, columns, rays) along the rays; infinity where there is no surface. moving: int32 of the
+    same shape, the row of `velocities` of a surface that moves; -1 of others. velocities: float32 (M, 3), by how much
+    the place moves that a ray meets while the shutter is open, world units.
     """
 
     distances: np.ndarray
-    surface: np.ndarray
-    frames: Sequence[np.ndarray]
+    moving: np.ndarray
+    velocities: np.ndarray
 
 
 def eye_distances(
@@ -205,9 +206,10 @@ def eye_distances(
     """
     x0, y0, x1, y1 = window
     distances = np.full((y1 - y0, x1 - x0, eyes.rays), np.inf, np.float32)
-    surface = np.full(distances.shape, -1, np.int32)
+    rows_of_moving, velocities = np.full(distances.shape, -1, np.int32), [np.zeros((0, 3), np.float32)]
     moving, still = ([one for one in surfaces if one.moves is moves] for moves in (True, False))
-    ends = np.cumsum([len(one.triangles) for one in moving])
+    opening, closing = (_corners([corners_at(one, time) for one in moving]) for time in (0.0, 1.0))
+    met = 0
     for number, eye in enumerate(eyes.cameras):
         columns, rows = eyes.pixels_of(number, window)
         if len(columns) and len(rows):
@@ -216,10 +218,30 @@ def eye_distances(
             found, triangle = buffer.nearest(columns + 0.5, rows + 0.5, cancel)
             place = rows[:, None] - y0, columns - x0, number % eyes.rays
             distances[place] = found
-            if moving:
-                of = np.searchsorted(ends, triangle, side="right")
-                surface[place] = np.where((triangle >= 0) & (of < len(moving)), of, -1)
-    return EyeDistances(distances, surface, [surface_frames(one, eyes.times) for one in moving])
+            row, column = np.nonzero((triangle >= 0) & (triangle < len(opening)))
+            if len(row):
+                origins, directions, *_ = pixel_rays(eye, columns[column], rows[row])
+                points, of = origins + found[row, column, None] * directions, triangle[row, column]
+                shares = _barycentric(points, _corners([one.triangles for one in then])[of])
+                velocities.append(np.einsum("nk,nkc->nc", shares, closing[of] - opening[of]).astype(np.float32))
+                rows_of_moving[rows[row] - y0, columns[column] - x0, number % eyes.rays] = met + np.arange(len(row))
+                met += len(row)
+    return EyeDistances(distances, rows_of_moving, np.concatenate(velocities))
+
+
+def _corners(triangles: Sequence[np.ndarray]) -> np.ndarray:
+    """All of some triangles, (T, 3, 3) each."""
+    return np.concatenate([np.zeros((0, 3, 3)), *triangles])
+
+
+def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Shares (N, 3) of corners (N, 3, 3) in points (N, 3) of their triangles."""
+    a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    aa, ab, bb = (np.einsum("nc,nc->n", *pair) for pair in ((a, a), (a, b), (b, b)))
+    pa, pb = (np.einsum("nc,nc->n", p, side) for side in (a, b))
+    area = np.maximum(aa * bb - ab * ab, 1e-12 * aa * bb + 1e-300)
+    second, third = (bb * pa - ab * pb) / area, (aa * pb - ab * pa) / area
+    return np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
 
 
 @dataclass(frozen=True)

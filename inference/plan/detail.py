@@ -63,7 +63,8 @@ def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settin
     octaves = np.zeros(len(groups), int)
     for kinds, groups_of_kind in ((LARGER_CELLS, ~varies), (LARGER_COLOURED_CELLS, varies)):
         for n, (most, depth) in enumerate(kinds, 1):
-            small = (cells * 2**n <= settings.tolerance * most * pixels) & (depths * 2**n <= depth)
+            limits = settings.tolerance * most * pixels, settings.tolerance * depth
+            small = (cells * 2**n <= limits[0]) & (depths * 2**n <= limits[1])
             octaves += small & groups_of_kind
     return octaves.tolist()
 

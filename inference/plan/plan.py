@@ -50,7 +50,7 @@ from .resolution import BAND
 
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one; into fewer
-# where these would have one band.
+# where these would have one band, and for one thread.
 TILE_BANDS, TILES_PER_THREAD, SMALL_TILES_PER_THREAD = (8, 4, 2, 1), 6, 2
 
 
@@ -363,8 +363,8 @@ def plan_tiles(
         tiles = make_tiles(camera.window, bands)
         pixels = min(threads, len(tiles)) * _largest(tiles)
         needed = memory + pixels * ray
-        wanted = TILES_PER_THREAD if bands > 2 else SMALL_TILES_PER_THREAD
-        if len(tiles) >= wanted * threads and needed <= settings.memory_limit:
+        wanted = (TILES_PER_THREAD if bands > 2 else SMALL_TILES_PER_THREAD) * threads if threads > 1 else 1
+        if len(tiles) >= wanted and needed <= settings.memory_limit:
             break
     return tiles, needed
 

@@ -5,12 +5,11 @@ Light passes from a cell to its neighbours, slice after slice. Within a cell the
 function S: I = I_0 + (S - I_0) (1 - exp(-tau)).
 """
 
-import functools
 from collections.abc import Callable
 
 import numpy as np
 
-from ..kernels.library import call
+from ..kernels import library, structures
 from ..numerics.exponential import one_minus_exp
 from ..occluders.cell_boundaries import CellBoundaries
 from .ordinates import SIDE_ENDS, SIDES, STEPS, solid_angles
@@ -96,9 +95,7 @@ class OrdinateSweeps:
         axis, sign = SIDES[side]
         steps, weights = sign * STEPS[axis], self._weights(sign * STEPS[axis], phase)
         n = self.cells
-        return functools.partial(
-            call,
-            "sweep_ordinates",
+        described = structures.FUNCTIONS["sweep_ordinates"](
             cells=n,
             axis=axis,
             sign=sign,
@@ -116,6 +113,7 @@ class OrdinateSweeps:
             sums=swept,
             scratch=np.empty(2 * len(steps) * (n + 2) ** 2, np.float32),
         )
+        return lambda: library.load_kernels().call("sweep_ordinates", described)
 
     def _weights(self, steps: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of a source in what steps emit, float32 (D, 5), and of their light in its sums, (D, 4)."""

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Six-way light maps: a volume lit by one sun at a time, from six sides of the camera. Imports no bpy."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,10 +61,12 @@ def render_tile(
     """The light maps of a scene as its camera sees it, whose own lights are left out.
 
     angle: angular diameter of the suns, radians. What six maps cannot tell, light between the sides, is then smoother.
-    frames: until the next tile. cache: of earlier tiles.
+    frames: until the next tile. progress, cancelled: as of `inference.render`, called on any thread. cache: of earlier
+    tiles.
 
     Three suns share a render: a sun that shines in one colour channel only is alone in this channel of the picture,
-    because the media are made grey. Raises SceneError, and Cancelled when `cancelled()` returns True.
+    because the media are made grey. The renders run side by side. Raises SceneError, and Cancelled when `cancelled()`
+    returns True.
     """
     camera = replace(scene.camera, exposure=1.0, region=None)
     if camera.projection == "equirectangular":
@@ -74,12 +78,20 @@ def render_tile(
     glows = any(volume.emission is not None and medium.emission > 0.0 for volume, medium in scene.volumes)
     cache, parts = cache or inference.RenderCache(), 2 + glows
     flows = any(volume.velocity is not None for volume, _ in scene.volumes)
-    settings = replace(settings, tolerance=TOLERANCE, states_error=False)
+    # A thread that renders alone calls the network for larger parts of a picture.
+    threads = settings.threads or os.cpu_count() or 1
+    settings = replace(settings, tolerance=TOLERANCE, states_error=False, threads=max(threads // 2, 1))
     told = replace(settings, outputs=settings.outputs | {"median"}) if flows else settings
     towards = np.array(list(SIDES.values())) @ camera.world_matrix[:3, :3].T
 
+    done = [0.0] * parts
+
     def render(number: int, lights: list, of: list[tuple[Volume, Medium]]) -> Layer:
-        tell = (lambda fraction, message: progress((number + fraction) / parts, message)) if progress else None
+        def tell(fraction: float, message: str) -> None:
+            done[number] = fraction
+            if progress is not None:
+                progress(sum(done) / parts, message)
+
         return inference.render(of, lights, camera, told if number == 0 else settings, tell, cancelled, cache, surfaces)
 
     def suns(number: int) -> Iterator[Sun]:
@@ -88,7 +100,8 @@ def render_tile(
             yield from soft_sun(towards[side], IRRADIANCE * np.eye(3)[channel], angle, list(SIDES)[side])
 
     try:
-        lit = [render(number, list(suns(number)), volumes) for number in range(2)]
+        with ThreadPoolExecutor(min(threads, 2)) as pool:
+            lit = list(pool.map(lambda number: render(number, list(suns(number)), volumes), range(2)))
         maps = np.concatenate([layer.rgb for layer in lit], axis=2)
         emission = render(2, [], still).rgb if glows else np.zeros_like(maps[..., :3])
     except MemoryError:

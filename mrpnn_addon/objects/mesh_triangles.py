@@ -40,9 +40,10 @@ class Mesh:
         """
         places = self.places if places is None else places
         places = places.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        return places[self._vertices()]
+        return places[self.numbers()]
 
-    def _vertices(self) -> np.ndarray:
+    def numbers(self) -> np.ndarray:
+        """int (T, 3), vertices of each triangle."""
         if self.chosen is not None:
             return self.chosen
         # Triangles, and the first triangle of each quad: corners 0, 1, 2. The second: 0, 2, 3.

@@ -12,14 +12,13 @@ import numpy as np
 from ...inference.scene import Camera, SceneError, Shutter
 from ..nodes.material import SURFACES, shows_volume
 from .camera import read_camera
-from .mesh_triangles import read_mesh
+from .deformation import Deformation
+from .mesh_triangles import Mesh, read_mesh
 from .views import view_camera
 from .visibility import visible_objects
 
 #: Goes to a frame and a subframe from 0 to 1, and evaluates the scene there.
 GoTo = Callable[[int, float], None]
-# Of fog, after the object's name.
-DEFORMS = "changes its shape; its fog has the shape of the frame, without motion blur"
 # Values of a shutter curve: as many as Cycles reads.
 CURVE = 256
 # Changes of transforms below this fraction of their size are rounding.
@@ -39,13 +38,15 @@ class FrameMotion:
 
     shutters: of the cameras of views; None where nothing moves. matrices: (S, 4, 4) of the volumes and surfaces that
     move, by the keys of `VisibleObject`. vertices: float32 (S, V, 3), in object space, of the surfaces that change
-    their shape. warnings: what changes its shape and is rendered with that of the frame.
+    their shape. fogs: of the volumes that do. frame: when the frame is, from 0 where the shutter opens to 1 where it
+    closes.
     """
 
     shutters: list[Shutter | None]
     matrices: dict[tuple, np.ndarray]
     vertices: dict[tuple, np.ndarray]
-    warnings: list[str]
+    fogs: dict[tuple, Deformation]
+    frame: float = 0.0
 
 
 def read_motion(
@@ -62,12 +63,12 @@ def read_motion(
     """
     scene = depsgraph.scene
     if not uses_motion_blur(depsgraph):
-        return FrameMotion([None] * len(views), {}, {}, [])
+        return FrameMotion([None] * len(views), {}, {}, {})
     # At another time, a marker may bind another one.
     cameras = [view_camera(scene, view).original for view in views]
     steps, counts = [motion_steps(camera) for camera in cameras], {}
     shapes: dict[tuple, list[np.ndarray]] = {}
-    fogs: dict[tuple, str] = {}
+    fogs: dict[tuple, Mesh | None] = {}
     for shown in visible_objects(depsgraph):
         count = motion_steps(shown.object) if motion_steps(shown.host) else 0
         if count and (shows_volume(shown.object) or shown.object.type in SURFACES):
@@ -75,7 +76,7 @@ def read_motion(
             if shown.object.type in SURFACES and _may_deform(shown.object):
                 shapes[shown.key] = []
                 if shows_volume(shown.object):
-                    fogs[shown.key] = f'{shown.object.type.lower()} object "{shown.name}"'
+                    fogs[shown.key] = None
     most, kept = max([*steps, *counts.values()], default=0), (scene.frame_current, scene.frame_subframe)
     times = np.linspace(*shutter_interval(scene), most) if most else ()
     seen: list[list[Camera]] = []
@@ -89,13 +90,16 @@ def read_motion(
                 if shown.key in places:
                     places[shown.key].append(shown.matrix)
                 if shown.key in shapes:
-                    shapes[shown.key].append(read_mesh(shown.object).places)
+                    mesh = read_mesh(shown.object)
+                    shapes[shown.key].append(mesh.places)
+                    if shown.key in fogs:
+                        fogs[shown.key] = mesh
     finally:
         if most:
             go_to(*kept)
     # Those that have fewer steps are seen at every other time, every fourth, or fewer.
     every = {count: (most - 1) // (count - 1) for count in (*steps, *counts.values()) if count}
-    moving, deformed, warnings = {}, {}, []
+    moving, deformed, changing = {}, {}, {}
     for key, matrices in places.items():
         steps_seen = matrices[:: every[counts[key]]]
         # What is not there all the time stands still, as in Cycles.
@@ -108,16 +112,21 @@ def read_motion(
             shape = np.array(steps_seen)
             if not shape.size or np.ptp(shape, axis=0).max() <= STILL * np.abs(shape).max():
                 continue
-            if key in fogs:
-                warnings.append(f"{fogs[key]} {DEFORMS}")
+            mesh_of_fog = fogs.get(key)
+            if mesh_of_fog is not None and not np.isfinite(shape).all():
+                continue
+            if mesh_of_fog is not None:
+                changing[key] = Deformation(mesh_of_fog, shape)
             else:
                 deformed[key], moving[key] = shape, np.array(places[key][:: every[counts[key]]])
     curve = shutter_curve(scene.render)
     shutters = [
         _shutter([then[n] for then in seen[:: every[count]]] if count else [], curve) for n, count in enumerate(steps)
     ]
-    blurred = [shutter or (Shutter(curve=curve) if moving or flows else None) for shutter in shutters]
-    return FrameMotion(blurred, moving, deformed, list(dict.fromkeys(warnings)))
+    blurred = [shutter or (Shutter(curve=curve) if moving or changing or flows else None) for shutter in shutters]
+    opens, closes = shutter_interval(scene)
+    frame = (scene.frame_current + scene.frame_subframe - opens) / (closes - opens)
+    return FrameMotion(blurred, moving, deformed, changing, frame)
 
 
 def _may_deform(shown: "bpy.types.Object") -> bool:

@@ -198,10 +198,12 @@ def _add_motion(
     flows = uses_motion_blur(depsgraph) and _add_velocities(description, depsgraph, reader, check)
     found = read_motion(depsgraph, [None, *wanted_views(depsgraph.scene.render)], go_to, check, flows)
     shutter, *shutters = found.shutters
-    description.warnings += found.warnings
     for (volume, _), (key, matrix) in zip(description.volumes, description.placed):
         if key in found.matrices:
             volume.motion = Motion(found.matrices[key], matrix)
+        if key in found.fogs and volume.velocity is None:
+            check()
+            volume.velocity = found.fogs[key].velocity(matrix, found.frame)
     for mesh in description.opaque:
         mesh.matrices = found.matrices.get(mesh.key)
         vertices = found.vertices.get(mesh.key)

@@ -8,7 +8,7 @@ import pytest
 
 from inference import Camera, Environment, Medium, SceneError, Settings, Sun, Volume, render
 from inference.image.adaptive_interpolation import FAINT, LEVELS, Guide, Squares, interpolable
-from inference.plan.plan import make_tiles
+from inference.plan.plan import make_plan, make_tiles
 from inference.plan.resolution import BAND
 from inference.scene.optimizations import ALL
 from tests.support.volumes import SUN, camera, cloud
@@ -222,6 +222,14 @@ def test_a_sharp_step_in_a_volume_stays_sharp():
     assert shared.report.counts["network points"] < 0.6 * every.report.counts["network points"]
     off = np.abs(shared.rgb - every.rgb).mean(axis=2)
     assert off.max() < 0.1 * every.rgb[every.alpha > 0.02].mean()
+
+
+def test_a_thread_that_renders_alone_has_the_largest_tiles():
+    alone, shared = (
+        make_plan([(cloud(), Medium(30.0))], [SUN], camera(resolution=(128, 128)), Settings(threads=threads)).tiles
+        for threads in (1, 2)
+    )
+    assert len(alone) == 1 < len(shared)
 
 
 @pytest.mark.parametrize("window", [(0, 0, 500, 300), (7, 40, 500, 41), (32, 33, 100, 66)])

@@ -52,6 +52,11 @@ def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
     # Where more error is tolerated, larger cells do from nearer.
     nearer = [light(view, settings=replace(SETTINGS, tolerance=4.0)) for view in views]
     assert all(far <= near for far, near in zip(found, nearer)) and sum(nearer) > sum(found)
+    thicker = [
+        sum(light(views[-1], Medium(sigma_t), settings=replace(SETTINGS, tolerance=most)) for sigma_t in range(5, 500))
+        for most in (1.0, 4.0)
+    ]
+    assert thicker[1] > 2 * thicker[0]
     # A network that knows suns alone has cells of its own.
     assert light(views[-1], settings=replace(SETTINGS, model="paper")) == 0
 
