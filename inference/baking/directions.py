@@ -23,7 +23,7 @@ from .lattice import DIRECTIONS, BakeLattice, Visibility, block_means
 # Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
 NODES, FINE_NODES = 48, 112
 # Predictions for each direction: of the smooth coefficients, of an anchor.
-SMOOTH_PREDICTIONS, PREDICTIONS = 2000, 4000
+SMOOTH_PREDICTIONS, PREDICTIONS = 1000, 4000
 # Points times directions of each kind, beyond which points are farther apart.
 MAX_POINTS = 1_000_000
 # Share of the points with light that count where rays go along one direction, for the progress.

@@ -9,8 +9,8 @@ far. The part of the fluence that a sweep still lacks follows from a diffusion e
     D = 1 / (3 sigma_tr),    sigma_tr = sigma_a + sigma_s',
 
 so that four sweeps suffice where light scatters a hundred times (diffusion synthetic acceleration). It is solved on
-cells twice as large. The fluence phi and the flux J of the radiance are stored. The forward peak of the phase function scatters what arrives from ahead on
-the camera ray, Q, and a point scatters along -omega, times its albedo,
+cells twice as large. The fluence phi and the flux J of the radiance are stored. The forward peak of the phase function
+scatters what arrives from ahead on the camera ray, Q, and a point scatters along -omega, times its albedo,
 
     G^2 Q + (1 - G^2) (phi - 3 G' J . omega) / (4 pi),    G' = G / (1 + G).
 
