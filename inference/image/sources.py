@@ -184,7 +184,7 @@ class AskedGroup:
         for asked in asked_lamps(self.context, scene, self.channels, self.number):
             if not scene.plan.lights_group(scene.plan.lamps[asked.numbers[0]], self.number):
                 continue
-            light, near = asked.light, isinstance(asked.light, PlacedLamps)
+            light = asked.light
             cells = {n: cell for n, cell in enumerate(scene.lamp_cells) if set(cell) & set(asked.numbers)}
             parts = [[asked.numbers.index(k) for k in cell] for cell in cells.values()]
             source = self._predicted(
@@ -193,9 +193,9 @@ class AskedGroup:
                 strength=asked.strength,
                 features=functools.partial(features_of_lamps, light, list(cells), parts),
                 turn=lambda directions, image: directions,
-                lamp_depths=functools.partial(depths_of_lamps, list(cells)) if near else None,
+                lamp_depths=functools.partial(depths_of_lamps, list(cells)) if light.apart else None,
             )
-            source = replace(source, lights=source.lights / len(cells) if near else source.lights, masked=True)
+            source = replace(source, lights=source.lights / (len(cells) if light.apart else 1), masked=True)
             bright.append((float(light.irradiance(middle)[0] * asked.strength.mean()), source))
         bright.sort(key=lambda pair: -pair[0])
         return [source for _, source in bright]

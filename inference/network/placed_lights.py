@@ -90,13 +90,16 @@ class PlacedSun:
 
 @dataclass(frozen=True)
 class PlacedLamp:
-    """A lamp of power 1; a `PredictedLight`. radius: by which its light is softened."""
+    """A lamp of power 1; a `PredictedLight`.
+
+    radius: by which its light is softened. apart: whether what rays gather of each lamp is told apart.
+    """
 
     lamp: PredictedLamp
     cube: Cube
     radius: float
     albedos: Sequence[float] = ()
-    any_thickness, shadow_map = False, None
+    any_thickness, shadow_map, apart = False, None, False
 
     @property
     def near(self) -> "PlacedLamps":
@@ -163,7 +166,7 @@ class PlacedLamps:
     lamps: Sequence[PlacedLamp]
     powers: Sequence[float]
     albedos: Sequence[float] = ()
-    any_thickness, shadow_map = False, None
+    any_thickness, shadow_map, apart = False, None, True
 
     @property
     def near(self) -> "PlacedLamps":

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..blur.eyes import Eyes
 from ..blur.shutter import corners_at
+from ..numerics.intersection import barycentric
 from ..numerics.small_matmul import inverse
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
@@ -222,7 +223,7 @@ def eye_distances(
             if len(row):
                 origins, directions, *_ = pixel_rays(eye, columns[column], rows[row])
                 points, of = origins + found[row, column, None] * directions, triangle[row, column]
-                shares = _barycentric(points, _corners([one.triangles for one in then])[of])
+                shares = barycentric(points, _corners([one.triangles for one in then])[of])
                 velocities.append(np.einsum("nk,nkc->nc", shares, closing[of] - opening[of]).astype(np.float32))
                 rows_of_moving[rows[row] - y0, columns[column] - x0, number % eyes.rays] = met + np.arange(len(row))
                 met += len(row)
@@ -232,16 +233,6 @@ def eye_distances(
 def _corners(triangles: Sequence[np.ndarray]) -> np.ndarray:
     """All of some triangles, (T, 3, 3) each."""
     return np.concatenate([np.zeros((0, 3, 3)), *triangles])
-
-
-def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Shares (N, 3) of corners (N, 3, 3) in points (N, 3) of their triangles."""
-    a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    aa, ab, bb = (np.einsum("nc,nc->n", *pair) for pair in ((a, a), (a, b), (b, b)))
-    pa, pb = (np.einsum("nc,nc->n", p, side) for side in (a, b))
-    area = np.maximum(aa * bb - ab * ab, 1e-12 * aa * bb + 1e-300)
-    second, third = (bb * pa - ab * pb) / area, (aa * pb - ab * pa) / area
-    return np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
+from ...inference.numerics.intersection import barycentric
 from ...inference.scene import Velocity
 from .mesh_triangles import Mesh
 
@@ -16,8 +17,9 @@ CELLS, MARGIN = 24, 2
 
 @dataclass
 class Deformation:
-    """A mesh that changes its shape. mesh: of any time. vertices: float32 (S, V, 3), at evenly spaced times, in object
-    space.
+    """A mesh that changes its shape.
+
+    mesh: of any time, with triangles. vertices: float32 (S, V, 3), at evenly spaced times, in object space.
     """
 
     mesh: Mesh
@@ -39,11 +41,11 @@ class Deformation:
         cell = float((high - low).max()) / CELLS
         counts = np.ceil((high - low) / cell).astype(int) + 1 + 2 * MARGIN
         first = 0.5 * (low + high) - 0.5 * cell * (counts - 1)
-        velocities = np.empty((*counts, 3), np.float32)
-        for index in np.ndindex(*counts):
-            place, _, number, _ = tree.find_nearest(first + cell * np.array(index))
-            corners = triangles[number]
-            velocities[index] = _shares(np.array(place), shape[corners]) @ moved[corners]
+        asked = first + cell * np.moveaxis(np.indices(counts), 0, -1).reshape(-1, 3)
+        places, _, numbers, _ = zip(*map(tree.find_nearest, asked.tolist()))
+        corners = triangles[np.array(numbers)]
+        shares = barycentric(np.array(places), shape[corners])
+        velocities = np.einsum("nk,nkc->nc", shares, moved[corners]).astype(np.float32).reshape(*counts, 3)
         object_from_index = np.diag([cell, cell, cell, 1.0])
         object_from_index[:3, 3] = first
         return Velocity(
@@ -52,10 +54,3 @@ class Deformation:
             world_from_velocity=matrix[:3, :3],
             times=(-frame, 1.0 - frame),
         )
-
-
-def _shares(place: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates (3,) of a place (3,) in a triangle (3, 3)."""
-    a, b = corners[1] - corners[0], corners[2] - corners[0]
-    found, *_ = np.linalg.lstsq(np.stack([a, b], axis=1), place - corners[0], rcond=None)
-    return np.array([1.0 - found.sum(), *found])

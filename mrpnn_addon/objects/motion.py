@@ -113,7 +113,7 @@ def read_motion(
             if not shape.size or np.ptp(shape, axis=0).max() <= STILL * np.abs(shape).max():
                 continue
             mesh_of_fog = fogs.get(key)
-            if mesh_of_fog is not None and not np.isfinite(shape).all():
+            if mesh_of_fog is not None and not (len(mesh_of_fog.numbers()) and np.isfinite(shape).all()):
                 continue
             if mesh_of_fog is not None:
                 changing[key] = Deformation(mesh_of_fog, shape)
