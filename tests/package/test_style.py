@@ -64,3 +64,9 @@ def test_the_version_is_that_of_the_manifest():
     assert all(f"Blender {oldest} " in (ROOT / page).read_text() for page in ("README.md", "docs/use/install.md"))
     # The newest entry of the changelog that has a number: of this version, or of the one before it.
     assert re.search(rf"^## (Unreleased|{re.escape(version)}\b)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+
+
+def test_no_merge_is_half_done():
+    """Nothing between the marks of a conflict is left in a file."""
+    found = subprocess.run(["git", "grep", "-lE", "^(<{7}|>{7}) "], cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 1 and not found.stdout, found.stdout + found.stderr
