@@ -179,7 +179,7 @@ class AskedGroup:
                 )
 
     def lamps(self) -> list[Source]:
-        """Of all lamps, those that are predicted at once together: the brightest first, which mask errors of others."""
+        """Of all lamps, some of them joined: the brightest first, which mask errors of others."""
         scene, middle, bright = self.scene, self.group.predictor.cube.centre[None], []
         for asked in asked_lamps(self.context, scene, self.channels, self.number):
             if not scene.plan.lights_group(scene.plan.lamps[asked.numbers[0]], self.number):
