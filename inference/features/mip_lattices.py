@@ -41,10 +41,8 @@ def density_pyramid(level0: np.ndarray) -> list[np.ndarray]:
 
 def margins(stencil: Stencil) -> list[int]:
     """Cells that the lattice of each mip needs beyond every face of the cube."""
-    cells = [LEVEL0_CELLS >> m for m in range(MIPS)]
-    reach = [stencil.reach(m) for m in range(MIPS)]
     # Mips 0 and 1 share field 0, which needs the margin of mip 1.
-    return [int(np.ceil(r * n)) + 1 for r, n in zip(reach, cells)]
+    return [int(np.ceil(reach * (LEVEL0_CELLS >> m))) + 1 for m, reach in enumerate(stencil.reaches)]
 
 
 def padded_levels(pyramid: Sequence[np.ndarray], stencil: Stencil) -> list[np.ndarray]:
@@ -133,7 +131,7 @@ class ThinnerLattices(Lattices):
 
 def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fine cells of mip m that stencils around points from low to high (3,) can read: first, last + 1."""
-    margin, reach, scale = margins(stencil)[m], stencil.reach(m), (LEVEL0_CELLS >> m) * FINE[m]
+    margin, reach, scale = margins(stencil)[m], stencil.reaches[m], (LEVEL0_CELLS >> m) * FINE[m]
     cells = scale + 2 * margin * FINE[m]
     # A cell more on either side, for rounding.
     first = np.floor((low - reach + 0.5) * scale).astype(int) + margin * FINE[m] - 1

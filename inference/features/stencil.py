@@ -6,6 +6,7 @@ y = 0. 32 high-frequency points lie on the ray to the sun. The points are comput
 stored in the weights file.
 """
 
+import functools
 import hashlib
 from dataclasses import dataclass, field
 
@@ -67,11 +68,11 @@ class Stencil:
         """SHA-256 of the points' float32 bytes."""
         return hashlib.sha256(self.low.tobytes() + self.high.tobytes()).hexdigest()
 
-    def reach(self, mip: int) -> float:
-        """Largest distance from x of a point of this mip level, in cube edges."""
-        low = np.linalg.norm(self.low[self.mips[: len(self.low)] == mip], axis=1)
-        high = self.high[self.mips[len(self.low) :] == mip]
-        return float(max(low.max(initial=0.0), high.max(initial=0.0)))
+    @functools.cached_property
+    def reaches(self) -> list[float]:
+        """Largest distance from x of a point of each mip level, in cube edges."""
+        distances = np.concatenate([np.linalg.norm(self.low, axis=1), self.high])
+        return [float(distances[self.mips == mip].max(initial=0.0)) for mip in range(MIPS)]
 
 
 def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
