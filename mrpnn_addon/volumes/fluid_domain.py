@@ -137,4 +137,8 @@ class FluidSource(VolumeSource):
             "generated": texture_from_index,
         }
         domain = VoxelDomain(grids, frames, vectors=vectors_of(grids))
-        return shade(self.material, domain, check), object_from_index, []
+        # Smoke fills a part of most domains, and cells of light are as large as what they hold asks for.
+        shaded, first = shade(self.material, domain, check).cropped()
+        shifted = object_from_index.copy()
+        shifted[:3, 3] += object_from_index[:3, :3] @ first
+        return shaded, shifted, []

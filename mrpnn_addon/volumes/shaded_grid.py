@@ -4,10 +4,12 @@
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import bpy
 import numpy as np
 
+from ...inference.grids.bounds import filled_bounds
 from ...inference.scene import MAX_ANISOTROPY, Volume
 from ...inference.scene.phase_function import PhaseFunction
 from ...inference.scene.sparse_grid import SparseGrid
@@ -50,6 +52,22 @@ class ShadedGrid:
         if self._volume is None:
             self._volume = Volume(self.density, world_from_index, name, self.emission, self.emission_power)
         return self._volume.instance(world_from_index, name)
+
+    def cropped(self) -> tuple["ShadedGrid", np.ndarray]:
+        """Arrays without the empty voxels around; and the first voxel (3,) that is left."""
+        emission = [grid[..., c] for grid in (self.emission, self.blackbody) if grid is not None for c in range(3)]
+        bounds = [found for found in map(filled_bounds, (self.density, *emission)) if found is not None]
+        if not bounds:
+            return self, np.zeros(3, int)
+        low, high = np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
+        kept = tuple(map(slice, low, high))
+
+        def crop(grids: Any) -> Any:
+            return tuple(grid[kept] for grid in grids) if isinstance(grids, tuple) else grids[kept]
+
+        names = ["density", "emission", "extinction", "blackbody", *["albedo"] * isinstance(self.albedo, tuple)]
+        held = {name: getattr(self, name) for name in names}
+        return replace(self, **{name: crop(grids) for name, grids in held.items() if grids is not None}), low
 
     @property
     def parts(self) -> list["ShadedGrid"]:
