@@ -73,13 +73,14 @@ class Atlas:
 @dataclass
 class Textures:
     """images: by what the file's name ends in, float32 (H, W, 4). scale: by which light maps are multiplied.
-    emission_scale: by which the radiance of the emission is divided. clipped: share of the light maps' texels above 1.
-    motion_scale: the largest component of motion vectors, in widths of a tile.
+    emission_scale: by which the radiance of the emission is divided. brightest: the light maps' brightest texel.
+    clipped: share of their texels above 1. motion_scale: the largest component of motion vectors, in widths of a tile.
     """
 
     images: dict[str, np.ndarray]
     scale: float
     emission_scale: float
+    brightest: float
     clipped: float
     motion_scale: float
 
@@ -118,7 +119,14 @@ def textures(atlas: Atlas, tiles: Sequence[Tile | None]) -> Textures:
         # Beyond the smoke, where textures are filtered, it moves on.
         moved = straight_colours(atlas.place(motions, 2) * alpha, alpha) / np.float32(fastest)
         images["motion"] = np.concatenate([0.5 + 0.5 * moved, np.zeros_like(alpha), np.ones_like(alpha)], axis=2)
-    return Textures(images, scale, glow or 1.0, clipped, fastest)
+    return Textures(
+        images=images,
+        scale=scale,
+        emission_scale=glow or 1.0,
+        brightest=max(float(images[name][..., :3].max()) for name in "AB"),
+        clipped=clipped,
+        motion_scale=fastest,
+    )
 
 
 def straight_colours(values: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -17,6 +17,9 @@ from .atlas import Atlas, Textures, textures
 from .light_maps import Tile, is_coloured, render_tile
 from .texture_files import FORMATS, write_texture
 
+# Brightest texel of light maps below which 8 bits show steps.
+DARK = 0.3
+
 
 @dataclass
 class Flipbook:
@@ -88,6 +91,11 @@ class Flipbook:
             self.warn(
                 f"{100.0 * made.clipped:.2g} % of the smoke's texels are brighter than 1 and clipped; turn on "
                 "Normalize, or choose OpenEXR"
+            )
+        if made.brightest < DARK and FORMATS[self.file_format][1] == 8:
+            self.warn(
+                f"the brightest texel is {made.brightest:.2g}, so that 8 bits hold few shades; turn on Normalize, "
+                "or choose PNG 16-bit or OpenEXR"
             )
         make_folder(os.path.dirname(self.base))
         ending, paths = FORMATS[self.file_format][0], []

@@ -3,6 +3,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -175,6 +176,20 @@ def test_fire_is_its_own_channel(addon, scene, smoke, tmp_path):
     assert colour.max() == pytest.approx(1.0, abs=1e-3)
     ratio = colour[..., 1].sum() / colour[..., 0].sum()
     assert 0.4 < ratio < 0.6
+
+
+def test_dark_maps_in_8_bits_are_named(addon, tmp_path):
+    flipbook, one = addon.mrpnn_addon.flipbook, tiles(addon, 2)[0]
+    told = {}
+    for brightness in (0.1, 1.0):
+        for file_format in flipbook.texture_files.FORMATS:
+            for normalized in (False, True):
+                atlas = flipbook.atlas.Atlas(columns=1, rows=1, tile=16, padding=2, normalized=normalized)
+                book = flipbook.flipbook.Flipbook(atlas, [1], str(tmp_path / "smoke"), file_format)
+                book.tiles[1] = replace(one, maps=brightness * one.maps / one.maps.max())
+                book.write()
+                told[brightness, file_format, normalized] = any("few shades" in text for text in book.warnings)
+    assert {options for options, named in told.items() if named} == {(0.1, "PNG", False), (0.1, "TGA", False)}
 
 
 def test_errors_leave_files_frame_and_settings(addon, scene, smoke, tmp_path):
