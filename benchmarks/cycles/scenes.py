@@ -2,10 +2,11 @@
 """Scenes as artists build them, against Cycles: makes docs/tables/scenes*.csv and pictures.
 
     python -m benchmarks.cycles.scenes [--out build/scenes] [--only WORDS ...] [--size 64] [--samples 64] [--table]
+        [--messages]
 
 One small scene for each feature (`scene_features/`). Figures go to OUT/results.json as they come, so that a run that
 was stopped continues where it was, until the code or the weights change. The docs are written once OUT has all scenes;
---table only writes them.
+--table only writes them. --messages writes the tables of messages alone, without Cycles, in some minutes.
 """
 
 import argparse
@@ -58,20 +59,14 @@ def main(arguments=None) -> int:
     file = options.out / "results.json"
     results = json.loads(file.read_text()) if file.is_file() else {}
     source = made_by(PROGRAM, arguments)
+    if options.messages:
+        write_messages({name: {**messages(stage), "made_by": source} for name, stage in stages(options)})
+        return 0
     if not options.table:
-        extension()
-        cloud = options.out / "cloud.vdb"
-        if not cloud.is_file():
-            write_cloud(cloud)
-        for name, builder in {**scene_features.NAMED, **scene_features.MEASURED}.items():
-            measured_before = not options.only and results.get(name, {}).get("made_by") == source
-            if measured_before or options.only and not any(words in name for words in options.only):
-                continue
-            stage = scene_features.make_stage(options.out, cloud, options.size)
-            builder(stage)
-            bpy.context.view_layer.update()
+        before = [name for name, found in results.items() if not options.only and found.get("made_by") == source]
+        for name, stage in stages(options, before):
             start = time.perf_counter()
-            results[name] = measured(name, stage, options) if name in scene_features.MEASURED else named(stage)
+            results[name] = measured(name, stage, options) if name in scene_features.MEASURED else messages(stage)
             results[name]["made_by"] = source
             replace(file, json.dumps(results, indent=1) + "\n")
             print(f"{name}: {time.perf_counter() - start:.0f} s {results[name]}", file=sys.stderr, flush=True)
@@ -86,6 +81,21 @@ def main(arguments=None) -> int:
             PICTURES.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(made, picture(name))
     return 0
+
+
+def stages(options, skipped=()):
+    """Make the scenes that --only names, all by default, one after the other: pairs of name and stage."""
+    extension()
+    cloud = options.out / "cloud.vdb"
+    if not cloud.is_file():
+        write_cloud(cloud)
+    for name, builder in {**scene_features.NAMED, **scene_features.MEASURED}.items():
+        if name in skipped or options.only and not any(words in name for words in options.only):
+            continue
+        stage = scene_features.make_stage(options.out, cloud, options.size)
+        builder(stage)
+        bpy.context.view_layer.update()
+        yield name, stage
 
 
 def write_cloud(path: Path) -> None:
@@ -158,8 +168,8 @@ def measured(name, stage, options) -> dict:
     return found
 
 
-def named(stage) -> dict:
-    """What the extension says of a scene that it does not render as Cycles does."""
+def messages(stage) -> dict:
+    """What the extension says of a scene."""
     from mrpnn import inference
     from mrpnn.mrpnn_addon.scene.reader import read_scene
 
@@ -169,7 +179,7 @@ def named(stage) -> dict:
             described.volumes,
             described.lights,
             described.camera,
-            inference.Settings(multiple=False),
+            inference.Settings(depth_samples=1),
             surfaces=described.surfaces,
         )
         return {"warnings": list(dict.fromkeys(described.warnings + layer.report.warnings))}
@@ -187,14 +197,16 @@ def sources(results) -> list:
 
 
 def write_figures(results: dict) -> None:
-    """Tables of what is measured, of what the extension says of it, and of what is named instead of rendered.
-
-    Each row has the sentence on what made it.
-    """
+    """The table of what is measured, whose rows have the sentence on what made them, and those of messages."""
     measured = [
         [*row(name, results[name]), results[name]["made_by"]] for name in scene_features.MEASURED if name in results
     ]
     replace(TABLES / "scenes.csv", csv_text([], [*COLUMNS, "made by"], measured))
+    write_messages(results)
+
+
+def write_messages(results: dict) -> None:
+    """Tables of what the extension says of scenes that it renders, and of those that it leaves out in part."""
     said = [(name, text) for name in scene_features.MEASURED for text in results.get(name, {}).get("warnings", [])]
     notes = {text: "; ".join(name for name, other in said if other == text) for _, text in said}
     replace(TABLES / "scenes-notes.csv", csv_text(sources(results), ["message", "scenes"], notes.items()))
@@ -233,6 +245,7 @@ def parse(arguments):
     parser.add_argument("--size", type=int, default=64, help="pixels per edge (64)")
     parser.add_argument("--samples", type=int, default=64, help="per pixel in each of two Cycles renders (64)")
     parser.add_argument("--table", action="store_true", help="write the page from the figures there are")
+    parser.add_argument("--messages", action="store_true", help="write the tables of messages alone, without Cycles")
     return parser.parse_args(arguments)
 
 
