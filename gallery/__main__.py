@@ -2,12 +2,14 @@
 """Make the gallery: scenes, pictures, and the page docs/use/gallery.md.
 
     python -m gallery [noon dusk ...] [--size 960 540] [--detail 1] [--compare 320 180] [--reference 150] [--docs]
+        [--untimed]
 
 Writes OUT/NAME.blend, its .vdb files in OUT/volumes and its picture OUT/NAME.png. With --compare it renders a smaller
-picture beside Cycles with 1024 bounces, denoised, in the same processor seconds. --reference measures both against two
-renders by Cycles of about so many processor seconds each. --docs puts pictures and figures into the docs, and writes
-the page. --templates makes the scenes without pictures, and of them OUT/mrpnn-gallery.zip: application templates, which
-Blender lists in File > New. Needs bpy.
+picture beside Cycles with 1024 bounces, denoised, in the same processor seconds. --reference measures both against
+two renders by Cycles of about so many processor seconds each. --docs puts pictures and figures into the docs, and
+writes the page. --untimed states ratios in place of seconds, for a machine that does other work as well. --templates
+makes the scenes without pictures, and of them OUT/mrpnn-gallery.zip: application templates, which Blender lists in
+File > New. Needs bpy.
 """
 
 import argparse
@@ -53,12 +55,16 @@ def compare(name: str, out: Path, options) -> dict:
         paths = folder / "ours.png", folder / "cycles.png"
         own, seconds = pictures.ours(opened(), paths[0], folder)
         other, others, samples = pictures.cycles(opened(), paths[1], seconds)
-        figures = {"seconds": f"{seconds:.1f}", "Cycles' seconds": f"{others:.1f}", "Cycles' samples": str(samples)}
+        figures = {"Cycles' samples": str(samples)}
+        if not options.untimed:
+            figures |= {"seconds": f"{seconds:.1f}", "Cycles' seconds": f"{others:.1f}"}
         if options.reference:
             halves = max(8, round(samples * options.reference / others))
             errors = pictures.errors(opened(), paths, folder, halves)
             figures |= {"error": errors[0], "Cycles' error": errors[1], "reference's samples": f"2 x {halves}"}
     captions = f"this extension, {seconds:.0f} processor seconds", f"Cycles, {others:.0f} processor seconds"
+    if options.untimed:
+        captions = "this extension", f"Cycles, {others / seconds:.2g} times as long"
     row(list(zip(captions, (own, other))), height, 12).save(out / f"{name}-cycles.png")
     return figures
 
@@ -72,6 +78,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--reference", type=float, default=0.0, metavar="SECONDS", help="of each half of a reference")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "gallery", help="folder to write to")
     parser.add_argument("--docs", action="store_true", help="put pictures and page into docs")
+    parser.add_argument("--untimed", action="store_true", help="state ratios in place of seconds")
     parser.add_argument(
         "--templates", action="store_true", help="zip the scenes as application templates, without pictures"
     )
@@ -92,7 +99,9 @@ def main(arguments=None) -> int:
         scene.render.resolution_x, scene.render.resolution_y = options.size
         kind = pictures.way(scene)
         _, seconds = pictures.ours(scene, out / f"{name}.png", out / "light" / name)
-        figures = {"way": kind, "pixels": "{} x {}".format(*options.size), "picture's seconds": f"{seconds:.0f}"}
+        figures = {"way": kind, "pixels": "{} x {}".format(*options.size)}
+        if not options.untimed:
+            figures["picture's seconds"] = f"{seconds:.0f}"
         if options.compare:
             figures |= compare(name, out, options)
         print(name, figures, flush=True)

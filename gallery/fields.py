@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Densities of the gallery's volumes: functions of points float32 (M, 3) to float32 (M,), and their sampling."""
+"""Densities of the gallery's volumes: functions of points float32 (M, 3) to float32 (M,), and their sampling.
+
+Functions of several grids give float32 (M, C).
+"""
 
 from collections.abc import Callable
 
@@ -12,13 +15,14 @@ Field = Callable[[np.ndarray], np.ndarray]
 
 
 def sample(field: Field, low, high, voxel: float) -> np.ndarray:
-    """The field at the centres of cubic voxels between two corners (3,): float32 (nx, ny, nz)."""
+    """The field at the centres of cubic voxels between two corners (3,): float32 (nx, ny, nz), or (nx, ny, nz, C) if
+    it has channels."""
     shape = [max(round((h - l) / voxel), 1) for l, h in zip(low, high)]
     axes = [(np.arange(n, dtype=np.float32) + 0.5) * voxel + l for n, l in zip(shape, low)]
     slabs = np.array_split(axes[0], max(len(axes[0]) // 16, 1))
     grids = [np.stack(np.meshgrid(slab, *axes[1:], indexing="ij"), axis=-1) for slab in slabs]
-    values = [field(np.ascontiguousarray(grid.reshape(-1, 3), np.float32)).reshape(grid.shape[:3]) for grid in grids]
-    return np.concatenate(values).astype(np.float32)
+    values = [field(np.ascontiguousarray(grid.reshape(-1, 3), np.float32)) for grid in grids]
+    return np.concatenate([v.reshape(*g.shape[:3], *v.shape[1:]) for v, g in zip(values, grids)]).astype(np.float32)
 
 
 def ramp(x, low: float, high: float):

@@ -79,10 +79,11 @@ def text() -> str:
     for row in read_csv(TABLE):
         name, entry = row["scene"], SCENES[row["scene"]]
         pixels = row["pixels"].replace("x", "×")
-        said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels, {row[PICTURE_SECONDS]}"
+        said = f"{entry.text} Rendered by {WAYS[row['way']]}: {pixels} pixels"
+        said += f", {row[PICTURE_SECONDS]} processor seconds." if row[PICTURE_SECONDS] else "."
         picture = f"![{entry.title}, as rendered](../images/gallery/{name}.jpg)"
-        parts.append(f"### {entry.title}\n\n{picture}\n\n{said} processor seconds.\n")
-        if row["seconds"]:
+        parts.append(f"### {entry.title}\n\n{picture}\n\n{said}\n")
+        if row[SAMPLES]:
             samples = f"{row[SAMPLES]} sample"
             samples += "" if samples.startswith("1 ") else "s"
             alt = f"{entry.title}: by this extension at the left, by Cycles with {samples} at the right"

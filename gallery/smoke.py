@@ -114,8 +114,8 @@ def explosion(folder: Path, detail: float):
         fields = burst((frame - 1) / (FRAMES - 1))
         path = folder / "explosion" / f"explosion_{frame:04}.vdb"
         if not path.exists():
-            both = [sample(lambda points, i=i: fields(points)[i], low, high, voxel) for i in (0, 1)]
-            stage.write_grids(path, dict(zip(("density", "temperature"), both)), low, voxel)
+            density, heat = np.moveaxis(sample(lambda points: np.stack(fields(points), 1), low, high, voxel), 3, 0)
+            stage.write_grids(path, {"density": density, "temperature": heat}, low, voxel)
     blast, shader = stage.volume(
         folder / "explosion" / "explosion_0001.vdb", Density=30.0, Color=(0.35, 0.32, 0.3), Anisotropy=0.2
     )

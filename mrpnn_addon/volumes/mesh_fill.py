@@ -43,12 +43,12 @@ def fill(corners: np.ndarray, matrix: np.ndarray, where: str, check: Callable[[]
     Raises SceneError, prefixed with `where`, for a mesh that is flat or not closed.
     """
     if not len(corners):
-        raise SceneError(f"{where}: the mesh has no faces, so it encloses no volume")
+        raise SceneError(f"{where}: the mesh has no faces, so it encloses no volume; add faces")
     axes = _axes(corners, matrix)
     corners, matrix = corners @ axes, matrix @ _frame(axes)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     if np.any(high - low <= 1e-9 * (high - low).max()):
-        raise SceneError(f"{where}: the mesh is flat and encloses no volume")
+        raise SceneError(f"{where}: the mesh is flat and encloses no volume; give it thickness, as by Solidify")
     extent = (high - low) * np.linalg.norm(matrix[:3, :3], axis=0)
     cells = np.maximum(np.ceil(extent / extent.max() * CELLS - 1e-6), LEAST).astype(int)
     size = (high - low) / cells

@@ -182,6 +182,11 @@ def test_every_button_and_panel_is_named(addon):
     assert len(buttons) > 4 and [name for name in (*buttons, *panels) if name not in pages] == []
 
 
+def test_every_optimization_is_named_as_in_the_panel(addon):
+    text, known = page("docs/understand/optimizations.md"), addon.inference.scene.optimizations.OPTIMIZATIONS
+    assert known and [name for name, made in known.items() if f"| *{made.title}*, {name} |" not in text] == []
+
+
 def test_exactly_the_commands_options_are_listed(addon):
     pages = page("docs/use/command-line.md") + page("docs/use/comparison.md")
     parser = addon.operators.command._parser()
