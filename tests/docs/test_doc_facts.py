@@ -508,6 +508,12 @@ def test_links_lead_somewhere(path):
     assert wrong == []
 
 
+def test_every_table_is_linked():
+    text = "".join(path.read_text() for path in PAGES)
+    tables = sorted((ROOT / "docs" / "tables").glob("*.csv"))
+    assert tables and [path.name for path in tables if f"tables/{path.name})" not in text] == []
+
+
 def test_checksums_are_those_of_the_weights_files():
     rows = dict(
         re.findall(
