@@ -8,6 +8,7 @@ Writes docs/images/engine-menu.png, panel.png, viewport.png, render.png, workflo
 20 seconds.
 """
 
+import contextlib
 import shutil
 import subprocess
 import sys
@@ -136,10 +137,10 @@ def animation(window) -> list[Image.Image]:
     return frames
 
 
-def main() -> int:
-    if not SUITES:
-        print("MRPNN_WINDOWS names no Blender with a window", file=sys.stderr)
-        return 2
+@contextlib.contextmanager
+def cumulus():
+    """The window of the last Blender that MRPNN_WINDOWS names, with the gallery's cumulus seen by its camera."""
+    assert SUITES, "MRPNN_WINDOWS names no Blender with a window"
     suite, made = SUITES[-1], ROOT / "build" / "gallery"
     if not (made / f"{SCENE}.blend").exists():
         subprocess.run([sys.executable, "-m", "gallery", SCENE], cwd=ROOT, check=True)
@@ -151,6 +152,11 @@ def main() -> int:
         for code in OPEN:
             said = window.do(code)
         assert said.endswith("made"), said
+        yield window
+
+
+def main() -> int:
+    with cumulus() as window:
         stills(window)
         first, *others = animation(window)
     first.save(IMAGES / "workflow.webp", save_all=True, append_images=others, duration=SHOWN, loop=0, quality=70)
