@@ -37,9 +37,9 @@ def light(towards, strength, colour, world):
 """
 #: Caption; direction to the sun, its strength and colour, and the strength of the World.
 SUNS = (
-    ("Live Light in EEVEE: the sun at the left", ((-1.0, -0.12, 0.62), 9.5, (1.0, 0.94, 0.86), 0.75)),
-    ("turned to the right, at dusk", ((0.9, -0.5, 0.2), 8.0, (1.0, 0.5, 0.22), 0.35)),
-    ("turned behind the cloud", ((0.35, 1.0, 0.45), 12.0, (1.0, 0.8, 0.6), 0.4)),
+    ("Live Light in EEVEE: a sun at the left", ((-1.0, -0.12, 0.62), 9.5, (1.0, 0.94, 0.86), 0.75)),
+    ("turned to the right, at dusk", ((0.95, 0.12, 0.22), 8.0, (1.0, 0.5, 0.22), 0.35)),
+    ("turned back, as a moon", ((-0.8, -0.1, 0.5), 1.6, (0.6, 0.72, 1.0), 0.06)),
 )
 KEY = "''.join(item.key for item in scene.mrpnn_light.volumes)"
 DONE = (
