@@ -11,6 +11,7 @@ import contextlib
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -63,6 +64,30 @@ with over(outliner):
 bpy.ops.wm.save_as_mainfile(filepath=WORK + "/window.blend")
 print("made")
 """
+CUMULUS = "noon"
+#: Opens this scene of the gallery, seen by its camera: each in a turn of Blender's main loop of its own.
+OPEN_CUMULUS = (
+    "bpy.ops.wm.open_mainfile(filepath=WORK + '/" + CUMULUS + ".blend', load_ui=False)",
+    """
+import threading
+scene = bpy.context.scene
+scene.render.resolution_x, scene.render.resolution_y, scene.mrpnn.depth_samples = 960, 540, 4
+# The scene's own engine is chosen in the first step.
+scene.render.engine = "CYCLES"
+bpy.context.preferences.system.viewport_aa = "OFF"
+bpy.context.preferences.view.render_display_type = "AREA"
+outliner, panels = area("OUTLINER"), area("PROPERTIES")
+with over(outliner):
+    bpy.ops.screen.area_join(source_xy=(panels.x + 40, panels.y + 40), target_xy=(outliner.x + 40, outliner.y + 40))
+""",
+    """
+space = area("VIEW_3D").spaces.active
+space.region_3d.view_perspective, space.overlay.show_overlays, space.shading.type = "CAMERA", False, "SOLID"
+space.show_region_toolbar = space.show_gizmo = False
+area("PROPERTIES").spaces.active.context = "RENDER"
+print("made")
+""",
+)
 THREADS = "[t.name for t in threading.enumerate() if t.name.startswith('mrpnn')]"
 RENDERING = "bpy.app.is_job_running('RENDER')"
 # Windows of renders and preferences lie over the viewport, and Escape may go elsewhere.
@@ -230,3 +255,23 @@ def opened(suite, extension):
         yield window
     finally:
         window.stop()
+
+
+@contextlib.contextmanager
+def cumulus():
+    """The window of the last Blender that MRPNN_WINDOWS names, with the gallery's cumulus seen by its camera."""
+    import build_extension
+
+    assert SUITES, "MRPNN_WINDOWS names no Blender with a window"
+    suite, made = SUITES[-1], ROOT / "build" / "gallery"
+    if not (made / f"{CUMULUS}.blend").exists():
+        subprocess.run([sys.executable, "-m", "gallery", CUMULUS], cwd=ROOT, check=True)
+    ending = "linux_x64-any_python.zip" if suite == "sid" else "linux_x64.zip"
+    (extension,) = [path for path in build_extension.build() if path.name.endswith(ending)]
+    with opened(suite, extension) as window:
+        shutil.copy(made / f"{CUMULUS}.blend", window.work)
+        shutil.copytree(made / "volumes", window.work / "volumes", dirs_exist_ok=True)
+        for code in OPEN_CUMULUS:
+            said = window.do(code)
+        assert said.endswith("made"), said
+        yield window

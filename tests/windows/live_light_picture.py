@@ -14,8 +14,7 @@ from PIL import Image
 
 from benchmarks.support.pages import IMAGES
 from benchmarks.support.pictures import row
-
-from .screenshots import cumulus
+from tests.support.window import cumulus
 
 #: EEVEE with fine volumes, between the nearest and the farthest part of the cloud.
 EEVEE = """

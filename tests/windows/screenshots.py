@@ -8,44 +8,16 @@ Writes docs/images/engine-menu.png, panel.png, viewport.png, render.png, workflo
 20 seconds.
 """
 
-import contextlib
-import shutil
-import subprocess
 import sys
 import time
 
 from PIL import Image
 
-import build_extension
 from benchmarks.support.pages import IMAGES
 from gallery.page import steps
 from tests.support.paths import ROOT
-from tests.support.window import LONG, RENDERING, SUITES, THREADS, opened
+from tests.support.window import LONG, RENDERING, THREADS, cumulus
 
-SCENE = "noon"
-#: Each in a turn of Blender's main loop of its own.
-OPEN = (
-    "bpy.ops.wm.open_mainfile(filepath=WORK + '/" + SCENE + ".blend', load_ui=False)",
-    """
-import threading
-scene = bpy.context.scene
-scene.render.resolution_x, scene.render.resolution_y, scene.mrpnn.depth_samples = 960, 540, 4
-# The scene's own engine is chosen in the first step.
-scene.render.engine = "CYCLES"
-bpy.context.preferences.system.viewport_aa = "OFF"
-bpy.context.preferences.view.render_display_type = "AREA"
-outliner, panels = area("OUTLINER"), area("PROPERTIES")
-with over(outliner):
-    bpy.ops.screen.area_join(source_xy=(panels.x + 40, panels.y + 40), target_xy=(outliner.x + 40, outliner.y + 40))
-""",
-    """
-space = area("VIEW_3D").spaces.active
-space.region_3d.view_perspective, space.overlay.show_overlays, space.shading.type = "CAMERA", False, "SOLID"
-space.show_region_toolbar = space.show_gizmo = False
-area("PROPERTIES").spaces.active.context = "RENDER"
-print("made")
-""",
-)
 # Frames of the animation: their width in pixels, and the milliseconds that each is shown.
 WIDTH, SHOWN = 960, 1000
 #: The interface's scale in the animation, where it is shown smaller; and the height of the panel's picture in pixels.
@@ -135,24 +107,6 @@ def animation(window) -> list[Image.Image]:
     del frames[20 - 4 : -1]
     keep(20 - len(frames))
     return frames
-
-
-@contextlib.contextmanager
-def cumulus():
-    """The window of the last Blender that MRPNN_WINDOWS names, with the gallery's cumulus seen by its camera."""
-    assert SUITES, "MRPNN_WINDOWS names no Blender with a window"
-    suite, made = SUITES[-1], ROOT / "build" / "gallery"
-    if not (made / f"{SCENE}.blend").exists():
-        subprocess.run([sys.executable, "-m", "gallery", SCENE], cwd=ROOT, check=True)
-    ending = "linux_x64-any_python.zip" if suite == "sid" else "linux_x64.zip"
-    (extension,) = [path for path in build_extension.build() if path.name.endswith(ending)]
-    with opened(suite, extension) as window:
-        shutil.copy(made / f"{SCENE}.blend", window.work)
-        shutil.copytree(made / "volumes", window.work / "volumes", dirs_exist_ok=True)
-        for code in OPEN:
-            said = window.do(code)
-        assert said.endswith("made"), said
-        yield window
 
 
 def main() -> int:
