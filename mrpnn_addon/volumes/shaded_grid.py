@@ -55,7 +55,8 @@ class ShadedGrid:
 
     def cropped(self) -> tuple["ShadedGrid", np.ndarray]:
         """Arrays without the empty voxels around; and the first voxel (3,) that is left."""
-        emission = [grid[..., c] for grid in (self.emission, self.blackbody) if grid is not None for c in range(3)]
+        glow = [grid for grid in (self.emission, self.blackbody) if isinstance(grid, np.ndarray)]
+        emission = [grid[..., c] for grid in glow for c in range(3)]
         bounds = [found for found in map(filled_bounds, (self.density, *emission)) if found is not None]
         if not bounds:
             return self, np.zeros(3, int)
