@@ -334,7 +334,7 @@ def until_shown(live: ModuleType, scene: "bpy.types.Scene", count: int, former: 
         status, is_problem = live.live_status(scene)
         if is_problem:
             return status
-        time.sleep(0.005)
+        time.sleep(0.05)
     return ""
 
 
