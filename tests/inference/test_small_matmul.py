@@ -175,10 +175,12 @@ def alone(work):
 
     The kernels' time is the process's, with one thread for tasks.
     """
-    # The second time without what is loaded once.
+    # A second time, without what is loaded once, where the first tells nothing.
     for _ in range(2):
         time.sleep(0.3)
         process, clock = time.process_time(), time.perf_counter()
         work()
         process, clock = time.process_time() - process, time.perf_counter() - clock
-    assert process < 1.08 * clock + 0.02
+        if process < 1.08 * clock + 0.02:
+            return
+    raise AssertionError(f"{process:.2f} processor seconds in {clock:.2f} s")

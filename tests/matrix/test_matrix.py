@@ -34,7 +34,7 @@ def test_the_first_row_comes_through_quick_doors():
     run_matrix("--row", "0", "--door", "viewport", "render volumes", "command render")
 
 
-@pytest.mark.slow(seconds=850)
+@pytest.mark.slow(seconds=450)
 def test_every_door_opens_for_every_feature():
     """Half of the rows; the others' doors are opened in Blender 5, by tests/package/test_matrix.py."""
     run_matrix("--first", "0", "--step", "2")

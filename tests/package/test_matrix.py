@@ -14,7 +14,7 @@ pytestmark = MARKS
 
 
 # The last one named, of Blender 5; the Python module's is 4.5.
-@pytest.mark.slow(seconds=1050)
+@pytest.mark.slow(seconds=500)
 @pytest.mark.parametrize("program", BLENDERS[-1:], indirect=True, ids=lambda path: Path(path).name)
 def test_every_door_opens_for_every_feature(program):
     """Half of the rows; the others' doors are opened in Blender 4.5, by tests/matrix/test_matrix.py."""

@@ -42,9 +42,10 @@ CHECKED = [
 # Debian's libraries for arm64, and what runs libraries of other platforms.
 ARM64 = "/usr/aarch64-linux-gnu"
 RUNNERS = {"linux-x64": [], "linux-arm64": ["qemu-aarch64", "-L", ARM64], "windows-x64": ["wine"]}
-# What a compiler adds to check what the code does; both end the process at a first fault.
+# What a compiler adds to check what the code does; both end the process at a first fault. gcc checks addresses alone:
+# zig finds what is undefined, and to compile both checks takes gcc more than twice as long.
 CHECKS = {
-    "gcc": ["gcc", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"],
+    "gcc": ["gcc", "-fsanitize=address"],
     "zig": [sys.executable, "-m", "ziglang", "cc", "-fsanitize=undefined,bounds", "-fsanitize-trap=undefined"],
 }
 
