@@ -9,7 +9,10 @@ import pytest
 
 from tests.support import blender_scenes as make
 
-SIZE = 48
+# Noise of an error falls with the samples, and with the root of the pixels: few pixels tell most for their time.
+SIZE, SAMPLES = 24, 128
+# Of edges, of surfaces and of colours, which fewer of more pixels hold.
+FINE_SIZE, FEWER_SAMPLES = 48, 64
 FRAME = 10
 
 
@@ -70,7 +73,7 @@ def error(layer, halves):
     return np.sqrt(max(((layer - a) * (layer - b)).mean(), 0.0)) / mean
 
 
-def errors_against_cycles(scene, folder):
+def errors_against_cycles(scene, folder, samples=SAMPLES):
     """Relative RMSE of colours and alpha, without and with motion blur, and how much it changes the picture."""
     reference = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
     objects = [shown for shown in scene.objects if shown.type != "CAMERA"]
@@ -78,7 +81,7 @@ def errors_against_cycles(scene, folder):
     for blurred in (False, True):
         scene.render.use_motion_blur = blurred
         layer = pictures[blurred] = make.rendered(scene, folder)
-        tracing = reference.PathTracing(samples=128, box_filter=True)
+        tracing = reference.PathTracing(samples=samples, box_filter=True)
         found = reference.render_reference(scene, objects, tracing)
         errors[blurred] = [
             error(layer[..., some], (found.a[..., some], found.b[..., some])) for some in (slice(0, 3), slice(3, 4))
@@ -330,7 +333,7 @@ def test_spoiled_velocities_leave_a_picture(addon, motion_scene, tmp_path):
     assert np.isfinite(layer).all() and layer.max() > 0.01
 
 
-@pytest.mark.slow(seconds=60)
+@pytest.mark.slow(seconds=15)
 @pytest.mark.parametrize("move", [moving_camera, zoom, moving_cloud])
 def test_pictures_are_as_blurred_as_in_cycles(addon, motion_scene, tmp_path, move):
     move(motion_scene)
@@ -341,12 +344,13 @@ def test_pictures_are_as_blurred_as_in_cycles(addon, motion_scene, tmp_path, mov
     assert (motion_scene.frame_current, motion_scene.frame_subframe) == (FRAME, 0.0)
 
 
-@pytest.mark.slow(seconds=60)
+@pytest.mark.slow(seconds=20)
 @pytest.mark.parametrize("move, most", [(passing_wall, 0.12), (growing_wall, 0.05), (growing_fog, 0.05)])
 def test_meshes_that_hide_or_hold_fog_blur_as_in_cycles(addon, motion_scene, tmp_path, move, most):
     move(motion_scene)
+    motion_scene.render.resolution_x = motion_scene.render.resolution_y = FINE_SIZE
     motion_scene.frame_set(FRAME)
-    errors, change = errors_against_cycles(motion_scene, tmp_path)
+    errors, change = errors_against_cycles(motion_scene, tmp_path, FEWER_SAMPLES)
     assert change > 0.3
     for sharp, blurred in zip(errors[False], errors[True]):
         assert blurred < sharp + most
@@ -364,8 +368,9 @@ def colour(scene):
         element.color = values
 
 
-@pytest.mark.slow(seconds=60)
+@pytest.mark.slow(seconds=130)
 def test_velocities_carry_colours_as_in_cycles(addon, motion_scene, tmp_path):
+    motion_scene.render.resolution_x = motion_scene.render.resolution_y = FINE_SIZE
     flowing(motion_scene, tmp_path)
     colour(motion_scene)
     errors, change = errors_against_cycles(motion_scene, tmp_path)
@@ -387,7 +392,7 @@ def test_what_glows_within_the_bounds_of_a_file_stays_there(addon, motion_scene,
     assert light[True] == pytest.approx(light[False], rel=0.02) and light[False] > 1.0
 
 
-@pytest.mark.slow(seconds=90)
+@pytest.mark.slow(seconds=70)
 def test_velocities_blur_as_in_cycles_for_every_shutter_and_unit(addon, motion_scene, tmp_path):
     """Each picture is nearest to Cycles' own picture of it.
 
@@ -396,10 +401,10 @@ def test_velocities_blur_as_in_cycles_for_every_shutter_and_unit(addon, motion_s
     reference = importlib.import_module("mrpnn.mrpnn_addon.cycles.reference")
     flowing(motion_scene, tmp_path)
     scene, data = motion_scene, motion_scene.objects["Cloud"].data
-    scene.render.resolution_x, scene.render.resolution_y = 48, 36
+    scene.render.resolution_x, scene.render.resolution_y = 24, 18
     scene.render.motion_blur_shutter, scene.mrpnn.depth_samples = 0.6, 2
     objects = [shown for shown in scene.objects if shown.type != "CAMERA"]
-    cases, found, tracing = [], [], reference.PathTracing(samples=64, box_filter=True)
+    cases, found, tracing = [], [], reference.PathTracing(samples=96, box_filter=True)
     for position in ("START", "CENTER", "END"):
         for unit in ("FRAME", "SECOND"):
             cases.append((position, unit))
@@ -412,5 +417,6 @@ def test_velocities_blur_as_in_cycles_for_every_shutter_and_unit(addon, motion_s
         np.array([[error(layer[..., c], (a[..., c], b[..., c])) for _, a, b in found] for layer, *_ in found])
         for c in (slice(0, 3), slice(3, 4))
     )
-    assert alpha.diagonal().max() < 0.05 and colours.diagonal().max() < 0.13
+    # Other cases' alpha differs by 0.12 and more.
+    assert alpha.diagonal().max() < 0.08 and colours.diagonal().max() < 0.18
     assert (alpha.argmin(axis=1) == np.arange(len(cases))).all()
