@@ -38,7 +38,6 @@ from .outputs.requested import Outputs
 from .plan.joined_volumes import find_joins, with_joined
 from .plan.lights import without_lamps
 from .plan.plan import Channels, Plan, SortedScene, decide, fit_memory, see_sky, sort_lights, sort_scene
-from .plan.savings import estimated_savings
 from .render_cache import RenderCache, ScatteringGroup
 from .runtime.cancellation import CancelToken
 from .runtime.progress import Progress
@@ -46,7 +45,7 @@ from .runtime.report import Report, process_peak_memory
 from .runtime.tasks import Tasks
 from .scene.camera import Camera
 from .scene.description import Medium, Surface, Volume
-from .scene.light import Families, Light
+from .scene.light import Light
 from .scene.settings import Settings
 from .scene.sparse_grid import SparseGrid
 
@@ -131,8 +130,6 @@ def _finished_parts(
     report.count("suns", len(scene.plan.suns))
     report.count("environments", len(scene.environments))
     report.count("lamps", len(scene.plan.lamps))
-    report.count("suns left out", max(len(Families.of(lights).suns) - len(scene.plan.suns), 0))
-    report.saved = estimated_savings(report, scene.plan, settings)
     report.threads, report.peak_memory = tasks.threads, process_peak_memory()
 
     def compose() -> Layer:

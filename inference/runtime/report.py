@@ -41,11 +41,10 @@ class Report:
     model, checksum: name of the network and SHA-256 of its weights. provider: onnxruntime execution provider that ran
     it. kernels: kind of processor that the compiled kernels use. threads: worker threads. planned, left_out: sentences
     about what the render does, and about what it skips. warnings: what the user should know; each names the object.
-    counts: of pixels, rays, steps and points. saved: approximate seconds that each optimization saved, see
-    `plan.savings`. seconds: wall-clock time per stage; of stages that several threads do side by side, the mean over
-    the threads. "total" is measured separately. expected_error: of the picture; None where nothing is predicted, and
-    where the network's error is not known. cpu_seconds: processor time of all threads of the process per stage.
-    peak_memory: bytes of the whole process, None where the platform does not tell.
+    counts: of pixels, rays, steps and points. seconds: wall-clock time per stage; of stages that several threads do
+    side by side, the mean over the threads. "total" is measured separately. expected_error: of the picture; None where
+    nothing is predicted, and where the network's error is not known. cpu_seconds: processor time of all threads of the
+    process per stage. peak_memory: bytes of the whole process, None where the platform does not tell.
     """
 
     model: str = ""
@@ -57,7 +56,6 @@ class Report:
     left_out: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    saved: dict[str, float] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     cpu_seconds: dict[str, float] = field(default_factory=dict)
     peak_memory: int | None = None

@@ -80,20 +80,6 @@ def test_a_render_cache_changes_nothing(draw, every_pixel):
 def test_all_optimizations_together_stay_within_the_budget(draw, every_pixel):
     layer = draw(frozenset())
     assert change(layer, every_pixel) <= sum(omission.budget for omission in OPTIMIZATIONS.values())
-    assert layer.report.saved == {}
-
-
-def test_the_report_estimates_the_time_without_optimizations(usual, every_pixel):
-    names = {"empty_space", "equal_channels", "needless_suns", "faint_rays", "shared_pixels"}
-    # Fewer samples on faint rays save less than a hundredth of a second in so small an image.
-    assert {"equal_channels", "needless_suns"} <= set(usual.report.saved) <= names
-    assert "shared_pixels" not in every_pixel.report.saved
-    assert all(seconds > 0.0 for seconds in usual.report.saved.values())
-    # Two of three channels, each of which would have taken as long as the one.
-    seconds = usual.report.seconds
-    assert usual.report.saved["equal_channels"] == pytest.approx(
-        2.0 * (seconds["march"] + seconds["fields"] + seconds["network"]), abs=0.01
-    )
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
