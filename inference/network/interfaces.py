@@ -10,13 +10,8 @@ from ..grids.working_cube import Cube
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Volume
-from ..transport.discrete_ordinates import DiscreteOrdinates
 from ..transport.scattered_fluence import ScatteredFluence
-from ..transport.varying_albedo import CoarseAlbedo
-from .conditions import Conditions, LitConditions, PlacedLight, RayPoints
-from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .lamp_nearby import LampNearby
-from .placed_lights import PlacedSkies
+from .conditions import LitConditions, RayPoints
 
 
 class Points(Protocol):
@@ -110,39 +105,6 @@ class Predictor(Protocol):
     def at(self, cube: Cube) -> "Predictor":
         """The same for another instance of the volume, whose working cube lies alike in its voxels."""
         return self
-
-
-class EveryLightPredictor(Predictor, Protocol):
-    """A Predictor for every kind of light. Methods raise Cancelled."""
-
-    @property
-    def coarse(self) -> np.ndarray:
-        """Density of the volume on the cells of the coarse transport."""
-
-    def coarsened(self, coarser: int) -> "EveryLightPredictor":
-        """The same on cells of the coarse transport that are so many octaves larger than usual."""
-
-    def coarser_solver(self, sigma_hat: float, albedo: float) -> DiscreteOrdinates:
-        """Solver of the transport without surfaces, on cells twice as large."""
-
-    def nearby(
-        self, conditions: LitConditions, albedos: Sequence[float], share: float, tasks: AnyTasks = SERIAL
-    ) -> LampNearby:
-        """The transport of a near light for some albedos; share: as in LampNearby."""
-
-    def prepare_environment(
-        self,
-        network: EnvironmentNetwork,
-        conditions: Conditions[PlacedSkies],
-        thickness: float,
-        tasks: AnyTasks = SERIAL,
-    ) -> PreparedEnvironment:
-        """What predicts the light of environments; thickness: optical, of the cube at the largest density."""
-
-    def varying_albedo(
-        self, conditions: Conditions[PlacedLight], tasks: AnyTasks = SERIAL
-    ) -> tuple[CoarseAlbedo, np.ndarray]:
-        """The albedo of a volume in which it varies, and `CoarseAlbedo.light` in it."""
 
 
 class PreparedPrediction(Protocol):

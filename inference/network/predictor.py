@@ -24,9 +24,10 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions, PlacedLight, PredictedLight
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import EveryLightPredictor, System
+from .interfaces import System
 from .placed_lights import PlacedSkies
 from .prepared_predictors import NearbyPredictor, PreparedPredictor, RadiancePredictor
+from .ray_predictor import RayPredictor
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight)
 
@@ -86,9 +87,9 @@ class VolumePredictor:
         return id(self._voxels), self.coarser
 
     @property
-    def _every_light(self) -> EveryLightPredictor:
+    def _every_light(self) -> RayPredictor:
         """What reads the volume for a network that predicts every kind of light."""
-        return cast(EveryLightPredictor, self._predictor)
+        return cast(RayPredictor, self._predictor)
 
     def warnings(self, name: str, medium: Medium, sigma_t: float, occluders: Occluders = NO_OCCLUDERS) -> list[str]:
         """Properties of a medium and of occluders that the network does not support.

@@ -120,7 +120,7 @@ def _itself(gather: FinalGather) -> FinalGather:
 class RayPredictor(Predictor):
     """Density at a sparse stencil, light along the camera ray and scattered fluence, for a network that reads them.
 
-    An `EveryLightPredictor`. network: whose `points` are the sparse stencil. cube: of the volume. Safe on several
+    For every kind of light. network: whose `points` are the sparse stencil. cube: of the volume. Safe on several
     threads. Raises Cancelled.
     """
 
@@ -164,7 +164,7 @@ class RayPredictor(Predictor):
         return instance
 
     def coarsened(self, coarser: int) -> "RayPredictor":
-        """As of EveryLightPredictor."""
+        """The same on cells of the coarse transport that are so many octaves larger than usual."""
         with self._lock:
             known = self._sharing.get(coarser)
             if known is None:
