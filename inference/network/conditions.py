@@ -12,12 +12,10 @@ from ..numerics.alike import alike
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..source_terms.lamp_beam import CubeCells
-from ..source_terms.nearby_light import NearbyMedium
-from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates
-from ..transport.scattered_fluence import FluenceLattice
+from ..transport.discrete_ordinates import CellSource
 
 if TYPE_CHECKING:
-    from .lamp_nearby import NearLamp
+    from .placed_lights import PlacedLamps
 
 # Lowest and highest coordinates (3,).
 Bounds = tuple[np.ndarray, np.ndarray]
@@ -70,33 +68,8 @@ class PredictedLight(PlacedLight, Protocol):
         """As of LampInCube. Raises Cancelled."""
 
     @property
-    def near(self) -> "NearLight | None":
+    def near(self) -> "PlacedLamps | None":
         """The same, if it may be near a volume or inside it."""
-
-
-class NearLight(Protocol):
-    """Lamps near a volume or inside it, of which the coarse transport is the multiple scattering itself."""
-
-    @property
-    def lamps(self) -> "Sequence[PredictedLight]":
-        """Each of them, of power 1."""
-
-    @property
-    def powers(self) -> Sequence[float]:
-        """Factors of their light."""
-
-    def transport_share(self, extent: Bounds) -> float:
-        """Share of the coarse transport alone in its multiple scattering in a box, 0 to 1."""
-
-    def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As `source_terms.nearby_light`. Raises Cancelled."""
-
-    def seen(self, sigma_hat: float, density: FluenceLattice) -> "list[NearLamp]":
-        """The lamps as points see them. density: of the coarse cells."""
-
-    @property
-    def radius(self) -> float:
-        """In the world, within which light that turned by small angles is not told apart."""
 
 
 AnyLight = TypeVar("AnyLight", bound=PlacedLight, covariant=True)

@@ -161,7 +161,10 @@ class PlacedLamp:
 
 @dataclass(frozen=True)
 class PlacedLamps:
-    """Lamps of power 1, each times a factor, in one cube; a `PredictedLight` and a `NearLight`."""
+    """Lamps of power 1, each times a factor, in one cube; a `PredictedLight`.
+
+    Where they are near a volume or inside it, the coarse transport is their multiple scattering itself.
+    """
 
     lamps: Sequence[PlacedLamp]
     powers: Sequence[float]
@@ -217,17 +220,17 @@ class PlacedLamps:
         return self.lamps[0].unit_depth(cells, cancel)
 
     def transport_share(self, extent: Bounds) -> float:
-        """As of NearLight."""
+        """Share of the coarse transport alone in their multiple scattering in a box, 0 to 1."""
         return min(transport_share(lamp.beam.place, *extent) for lamp in self.lamps)
 
     def nearby(self, solver: DiscreteOrdinates, medium: NearbyMedium, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As of NearLight."""
+        """As `source_terms.nearby_light`. Raises Cancelled."""
         return nearby_light(
             solver, medium, [(lamp.beam, power) for lamp, power in zip(self.lamps, self.powers)], cancel
         )
 
     def seen(self, sigma_hat: float, density: FluenceLattice) -> list[NearLamp]:
-        """As of NearLight."""
+        """The lamps as points see them. density: of the coarse cells."""
         return [
             NearLamp(lamp.lamp.emitters, power, lamp.beam.place, lamp.soft_start(sigma_hat, density))
             for lamp, power in zip(self.lamps, self.powers)
@@ -235,7 +238,7 @@ class PlacedLamps:
 
     @property
     def radius(self) -> float:
-        """As of NearLight."""
+        """In the world, within which light that turned by small angles is not told apart."""
         return FORWARD_RADIUS * self.lamps[0].radius
 
 
