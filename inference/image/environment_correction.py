@@ -21,8 +21,8 @@ from ..scene.camera_rays import camera_rays
 from ..scene.environment import pixel_numbers
 from .camera_pass import march_tile
 from .context import ChannelPass, PreparedScene, RenderContext, Tile
-from .scattered_light import TileEstimate
 from .sources import Source
+from .tile_estimate import TileEstimate
 
 #: Rays whose light is compared, and pixels of the whole image for one more each, since noise shows as flicker in films.
 RAYS, PIXELS_PER_RAY, MOST_RAYS = 128, 1024, 2048

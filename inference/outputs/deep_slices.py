@@ -17,7 +17,7 @@ from ..grids.bound_medium import BoundMedium
 from ..image.camera_pass import STEPS_PER_TASK, MarchedRays, Shading, TileRays, add_lamps, add_marched, tile_rays
 from ..image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from ..image.framebuffer import Framebuffer
-from ..image.scattered_light import TileEstimate
+from ..image.tile_estimate import TileEstimate
 from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions, RaySegment
 from ..marching.ray_steps import RayBatch, step_counts

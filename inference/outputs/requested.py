@@ -12,7 +12,7 @@ from ..image.camera_pass import STEPS_PER_TASK, tile_rays
 from ..image.context import ChannelPass, PreparedScene, RenderContext, Tile
 from ..image.framebuffer import Window
 from ..image.layer import Coverage, Layer
-from ..image.scattered_light import TileEstimate
+from ..image.tile_estimate import TileEstimate
 from ..marching.depth_samples import DepthSamples
 from ..marching.marcher import Marcher
 from ..marching.ray_march import MarchOptions
