@@ -73,24 +73,6 @@ class Occupancy:
         """Fraction of the cells that are filled or have a filled neighbour."""
         return float(self.filled.mean())
 
-    def near(self, index: np.ndarray) -> np.ndarray:
-        """bool (N,): False only where all values within REACH of continuous indices float32 (3, N) are 0."""
-        return self.filled.reshape(-1).take(self._cell(index))
-
-    def peak(self, index: np.ndarray) -> np.ndarray:
-        """Upper bound float32 (N,) of the density within REACH of continuous indices float32 (3, N)."""
-        return self.peaks.reshape(-1).take(self._cell(index))
-
-    def _cell(self, index: np.ndarray) -> np.ndarray:
-        """Numbers (N,) of cells."""
-        base: np.ndarray | int = 0
-        for at, first, size in zip(index, self.first, self.filled.shape):
-            # Points outside are clamped onto the border.
-            cell = (at + np.float32(first)) * np.float32(1.0 / self.cell)
-            cell = np.clip(cell, np.float32(0.0), np.float32(size - 1))
-            base = base * np.intp(size) + cell.astype(np.int32)
-        return np.asarray(base)
-
 
 def _grown(cells: np.ndarray, by: int = 1) -> np.ndarray:
     """Maximum over each cell and its neighbours up to `by` cells away along each axis."""

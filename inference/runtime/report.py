@@ -62,7 +62,6 @@ class Report:
     expected_error: ExpectedError | None = None
 
     def __post_init__(self) -> None:
-        self._running: dict[str, float] = {}
         self._processor_time = time.process_time
 
     @classmethod
@@ -97,18 +96,11 @@ class Report:
     def stage(self, name: str) -> Iterator[None]:
         """Context manager that adds the time spent inside to a stage."""
         start, cpu = time.perf_counter(), self._processor_time()
-        self._running[name] = start
         try:
             yield
         finally:
-            del self._running[name]
             self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + self._processor_time() - cpu
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
-
-    def elapsed(self, name: str) -> float:
-        """Seconds spent in a stage so far, including the time since it was last entered."""
-        running = time.perf_counter() - self._running[name] if name in self._running else 0.0
-        return self.seconds.get(name, 0.0) + running
 
     def count(self, name: str, number: int) -> None:
         """Add to a counter."""

@@ -143,11 +143,6 @@ class SphereEmitter:
             distance = np.maximum(np.linalg.norm(away, axis=1), 1e-30)
         return np.where(within, 1.0, self.cone.passed(away / distance[:, None], radius / distance))
 
-    def light_directions(self, points: np.ndarray) -> np.ndarray:
-        """Unit vectors (N, 3) along which its light arrives at points (N, 3): within a cone, also close to a disk."""
-        directions = _unit(points - self.position)
-        return directions if self.cone is None else self.cone.turned(directions)
-
     def lit_between(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances (N,) between which it may light rays of origins and unit directions (N, 3)."""
         if self.cone is None:
@@ -245,10 +240,6 @@ class QuadEmitter:
         focus = 1.0 if self.spread >= FULL_SPREAD else float(_spread_factor(np.ones(1), self.spread)[0])
         return self.radiance * focus * self.area / (square + self.extent**2)
 
-    def light_directions(self, points: np.ndarray) -> np.ndarray:
-        """As for SphereEmitter."""
-        return _unit(points - self.position)
-
     def lit_between(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As for SphereEmitter."""
         return _everywhere(len(origins))
@@ -268,10 +259,6 @@ class QuadEmitter:
 
 
 Emitter = SphereEmitter | QuadEmitter
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-30)[:, None]
 
 
 def _across(axis: np.ndarray) -> np.ndarray:

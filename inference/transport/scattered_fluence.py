@@ -170,20 +170,6 @@ class ScatteredFluence:
         """float64 (3, 3): weights of the flux in the light scattered against a ray, from its direction."""
         return self.linear * (-3.0 * reduced_anisotropy(self.anisotropy) / np.linalg.norm(self.linear[0]))
 
-    def towards(self, directions: np.ndarray) -> np.ndarray:
-        """Weights float32 (R, 4) of fluence and flux in the light scattered against rays, phi - 3 G' F . omega.
-
-        directions: (R, 3) of the rays in the world.
-        """
-        flux = directions @ self.flux_from_world().T
-        return np.concatenate([np.ones((len(flux), 1)), flux], axis=1).astype(np.float32)
-
-    def cells(self, index: np.ndarray) -> np.ndarray:
-        """Flat cell numbers (N,) in the lights, at indices float32 (3, N)."""
-        n = _edge(self.lights)
-        x, y, z = np.clip(index, np.float32(0.0), np.float32(n - 1)).astype(np.int32)
-        return (x * np.intp(n) + y) * np.intp(n) + z
-
 
 def _edge(lights: Sequence[np.ndarray]) -> int:
     """Cells along an edge of the lights."""

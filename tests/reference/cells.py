@@ -12,6 +12,27 @@ from inference.scene.description import Volume
 from inference.scene.sparse_grid import SparseGrid
 
 
+def near_filled(occupancy: Occupancy, index: np.ndarray) -> np.ndarray:
+    """bool (N,): False only where all values within REACH of continuous indices float32 (3, N) are 0."""
+    return occupancy.filled.reshape(-1).take(_cell(occupancy, index))
+
+
+def peaks_near(occupancy: Occupancy, index: np.ndarray) -> np.ndarray:
+    """Upper bound float32 (N,) of the density within REACH of continuous indices float32 (3, N)."""
+    return occupancy.peaks.reshape(-1).take(_cell(occupancy, index))
+
+
+def _cell(occupancy: Occupancy, index: np.ndarray) -> np.ndarray:
+    """Numbers (N,) of cells."""
+    base: np.ndarray | int = 0
+    for at, first, size in zip(index, occupancy.first, occupancy.filled.shape):
+        # Points outside are clamped onto the border.
+        cell = (at + np.float32(first)) * np.float32(1.0 / occupancy.cell)
+        cell = np.clip(cell, np.float32(0.0), np.float32(size - 1))
+        base = base * np.intp(size) + cell.astype(np.int32)
+    return np.asarray(base)
+
+
 def halved(fine: np.ndarray) -> np.ndarray:
     """Means float32 (x, y, z) of 2 x 2 x 2 cells, in the kernel's order of sums."""
     pairs = fine[0::2] + fine[1::2]
@@ -38,7 +59,7 @@ def resampled_values(
     values = np.zeros(len(centres), np.float32)
     for place in placement.points:
         index = (centres + place).T.astype(np.float32)
-        near = np.flatnonzero(occupancy.near(index))
+        near = np.flatnonzero(near_filled(occupancy, index))
         found = grid.sample(index[:, near])
         values[near] += found * np.abs(found) ** (power - 1) / np.float32(len(placement.points))
     return values.reshape(shape)

@@ -32,6 +32,13 @@ from .ray_features import SampleSteps, gather_ray_features
 from .ray_steps import Cutting
 
 
+def light_directions(emitter: Emitter, points: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) along which its light arrives at points (N, 3): within a cone, also close to a disk."""
+    away = points - emitter.position
+    away /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)[:, None]
+    return away if emitter.cone is None else emitter.cone.turned(away)
+
+
 class _Steps:
     """Known steps of marched rays, flat: S of them, and the edges between them, E of them."""
 
@@ -123,7 +130,7 @@ class _Steps:
         """The fluence times the phase function (V, N) in some steps, by number."""
 
         def scattered(points: np.ndarray, ray: np.ndarray) -> np.ndarray:
-            cosine = -(emitter.light_directions(points) * self.rays.directions[ray]).sum(axis=1)
+            cosine = -(light_directions(emitter, points) * self.rays.directions[ray]).sum(axis=1)
             return emitter.fluence(points) * np.stack([bound.medium.scattered(cosine) for bound in media])
 
         return self.between_nodes(scattered, some)
@@ -156,7 +163,7 @@ class _Steps:
                     along, inside = begin[some] + node * length[some], weight * length[some]
                 points = emitter.position + origin[some] + (nearest[some] + along)[:, None] * direction[some]
                 light = emitter.fluence(points) * inside
-                cosine = -(emitter.light_directions(points) * direction[some]).sum(axis=1)
+                cosine = -(light_directions(emitter, points) * direction[some]).sum(axis=1)
                 for v, bound in enumerate(media):
                     found[v, some] += light * bound.medium.scattered(cosine)
         return found

@@ -15,6 +15,7 @@ from inference.numerics.exponential import one_minus_exp
 from inference.numerics.small_matmul import product
 from inference.occluders.shadow_map import ShadowMap
 from inference.scene.optimizations import ALL
+from inference.transport.discrete_ordinates import CELLS
 from inference.transport.scattered_fluence import ScatteredFluence
 
 from .ray_features import SampleSteps, gather_ray_features
@@ -194,6 +195,22 @@ def reduced_fractions(fluence: Sequence[ScatteredFluence | None]) -> list[float]
     return [1.0 if one is None else one.reduced_fraction for one in fluence]
 
 
+def weights_towards(fluence: ScatteredFluence, directions: np.ndarray) -> np.ndarray:
+    """Weights float32 (R, 4) of fluence and flux in the light scattered against rays, phi - 3 G' F . omega.
+
+    directions: (R, 3) of the rays in the world.
+    """
+    flux = directions @ fluence.flux_from_world().T
+    return np.concatenate([np.ones((len(flux), 1)), flux], axis=1).astype(np.float32)
+
+
+def cells_at(fluence: ScatteredFluence, index: np.ndarray) -> np.ndarray:
+    """Flat cell numbers (N,) in the lights, at indices float32 (3, N)."""
+    n = len(fluence.lights[0]) if fluence.lights else CELLS
+    x, y, z = np.clip(index, np.float32(0.0), np.float32(n - 1)).astype(np.int32)
+    return (x * np.intp(n) + y) * np.intp(n) + z
+
+
 def scattered_source(
     fluence: Sequence[ScatteredFluence | None], rays: RayBatch, sigma: np.ndarray, suns: int, medium: MarchedMedium
 ) -> np.ndarray:
@@ -217,7 +234,7 @@ def scattered_source(
         # visible.
         jitter = np.clip(number.astype(np.float32) * JITTER, 0.0, FAR_AWAY)
         indices += jitter - np.floor(jitter) - np.float32(0.5)
-        cells, towards = one.cells(indices), one.towards(rays.directions).take(ray_of, axis=0)
+        cells, towards = cells_at(one, indices), weights_towards(one, rays.directions).take(ray_of, axis=0)
         for l, values in enumerate(one.lights):
             found = np.einsum("nk,nk->n", values.reshape(-1, 4).take(cells, axis=0).astype(np.float32), towards)
             scale = np.float32(1.0 if one.scales is None else one.scales[l])

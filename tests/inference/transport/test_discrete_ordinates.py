@@ -12,6 +12,7 @@ from inference.source_terms.cell_sources import SunBeam
 from inference.transport import scattered_fluence
 from inference.transport.discrete_ordinates import CELLS, DiscreteOrdinates
 from inference.transport.ordinates import STEPS, solid_angles
+from tests.reference.march import cells_at, weights_towards
 from training.tracer.path_tracer import Sampling, Scene, Vertices, trace_points
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -177,12 +178,12 @@ def test_positions_in_the_world_find_their_cells():
     light = scattered_fluence.ScatteredFluence.in_cube(cube, [], 0.5)
     world = cube.centre + np.random.default_rng(4).uniform(-0.5, 0.5, (100, 3)) * cube.edge @ cube.rotation.T
     cell = np.floor((cube.positions(world) + 0.5) * CELLS).astype(int)
-    found = light.cells((world @ light.linear.T + light.offset).T.astype(np.float32))
+    found = cells_at(light, (world @ light.linear.T + light.offset).T.astype(np.float32))
     np.testing.assert_array_equal(found, np.ravel_multi_index(cell.T, (CELLS,) * 3))
     # Flux is in the cube's frame, rays are in the world's: light along a ray is not scattered against it.
     along = np.array([[0.0, 0.6, 0.8]])
     flux = np.concatenate([[1.0], 0.2 * cube.directions(along)[0]])
-    assert light.towards(along)[0] @ flux == pytest.approx(1.0 - 0.2, abs=1e-6)
+    assert weights_towards(light, along)[0] @ flux == pytest.approx(1.0 - 0.2, abs=1e-6)
 
 
 @pytest.mark.parametrize("octaves", [1, 2])
