@@ -24,8 +24,6 @@ static const double GAUSS_NODES[2] = {0.21132486540518713, 0.78867513459481287};
 static inline double larger(double a, double b) { return a > b ? a : b; }
 static inline double smaller(double a, double b) { return a < b ? a : b; }
 
-static inline double dot_of(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
 /* Number of the slice in front of a distance. */
 static inline int64_t slice_before(const Pyramid *pyramid, double along) {
     const double *starts = pyramid->starts;

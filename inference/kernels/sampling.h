@@ -23,6 +23,8 @@ static inline float least(float a, float b) { return a < b ? a : b; }
 
 static inline int64_t least_int(int64_t a, int64_t b) { return a < b ? a : b; }
 
+static inline double dot_of(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
 static inline int64_t within(int64_t n, int64_t last) {
     return n < 0 ? 0 : n > last ? last : n;
 }
@@ -172,10 +174,6 @@ static inline int any_held(const Medium *medium, const Floats *position) {
     int bits = 0;
     FOR_LANES(n) bits |= medium->held[first[n]] >> bit[n];
     return bits & 1;
-}
-
-static inline int may_hold(const Occupancy *cells, const float *position) {
-    return !cells->clearance[cell_around(cells, position)];
 }
 
 /* Depths of the four columns around points where their rays towards the sun meet slices, and fractions between them.

@@ -341,14 +341,12 @@ static int may_shade(const Medium *medium, const SunColumns *sun, const Line *li
     return from <= to;
 }
 
-static inline double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
 /* Squared distance of a point from the segment from 0 to `longest` along a direction. */
 static inline double segment_distance(const double *point, const double *direction, double longest) {
-    double square = dot(direction, direction), along = square > 0.0 ? dot(point, direction) / square : 0.0;
+    double square = dot_of(direction, direction), along = square > 0.0 ? dot_of(point, direction) / square : 0.0;
     along = along > 0.0 ? along < longest ? along : longest : 0.0;
     double apart[3] = {point[0] - along * direction[0], point[1] - along * direction[1], point[2] - along * direction[2]};
-    return dot(apart, apart);
+    return dot_of(apart, apart);
 }
 
 /* Whether a ray may meet what a sphere (4,) holds. */
@@ -366,7 +364,7 @@ static inline int far_away(const Scene *scene, const double *sphere, const Ray *
     for (int64_t l = 0; l < scene->suns; l++) {
         /* Seen along the sun's light. */
         const double *sun = scene->sun_directions + 3 * l;
-        double ahead = dot(centre, sun), lean = dot(ray->direction, sun), lowest = lean < 0.0 ? lean * longest : 0.0;
+        double ahead = dot_of(centre, sun), lean = dot_of(ray->direction, sun), lowest = lean < 0.0 ? lean * longest : 0.0;
         double across[3], direction[3];
         for (int k = 0; k < 3; k++) across[k] = centre[k] - ahead * sun[k], direction[k] = ray->direction[k] - lean * sun[k];
         if (!(ahead + sphere[3] < lowest) && !(segment_distance(across, direction, longest) > square)) return 0;
