@@ -7,7 +7,6 @@ from ..scene.description import Sun
 from ..scene.environment import LUMA, Environment, pixel_solid_angles
 
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
-TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0]])
 # Edge of the boxes in which directions of light are merged, radians.
 COARSE = 0.05
 # Rows of images that are reduced, by whole factors, before they are divided among directions.
@@ -17,18 +16,13 @@ ROWS = 128
 def directional_lights(environment: Environment, count: int) -> list[Sun]:
     """Up to `count` suns whose irradiances sum to an environment's fluence, each with the angular extent of its cell.
 
-    The sphere is divided around the vertices of a regular solid, which integrate uniform light exactly to second (4),
-    third (6) or fifth degree (12 or more). The cell with the largest variance is then split until there are enough (as
-    Viriyothai and Debevec's variance minimization, 2009). A cell's direction is the mean of its light, so bright spots
-    are met.
+    count: at least 12. The sphere is divided around the vertices of an icosahedron, which integrate uniform light
+    exactly to fifth degree. The cell with the largest variance is then split until there are enough (as Viriyothai and
+    Debevec's variance minimization, 2009). A cell's direction is the mean of its light, so bright spots are met.
     """
     directions, light, name = *_reduced(environment), environment.name
     power = light @ LUMA
-    vertices = next(
-        solid
-        for solid in (_icosahedron(), _octahedron(), TETRAHEDRON, TETRAHEDRON[:2] * [1, 1, 0], TETRAHEDRON[:1])
-        if len(solid) <= count
-    )
+    vertices = _icosahedron()
     nearest = (directions @ vertices.T).argmax(axis=1)
     cells = [np.flatnonzero((nearest == n) & (power > 0.0)) for n in range(len(vertices))]
     cells = [cell for cell in cells if len(cell)]
@@ -94,12 +88,6 @@ def _split(directions: np.ndarray, power: np.ndarray, cell: np.ndarray) -> tuple
     upper = along > (power[cell] @ along) / power[cell].sum()
     halves = cell[upper], cell[~upper]
     return halves if len(halves[0]) and len(halves[1]) else None
-
-
-def _octahedron() -> np.ndarray:
-    # Rotated so that no face looks at the horizon.
-    turn = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [2.0, 1.0, -2.0]]) / 3.0
-    return np.concatenate([turn, -turn])
 
 
 def _icosahedron() -> np.ndarray:

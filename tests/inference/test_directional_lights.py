@@ -11,7 +11,7 @@ from inference.plan.directional_lights import directional_lights
 from inference.scene.environment import pixel_directions, pixel_solid_angles
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12, 20])
+@pytest.mark.parametrize("count", [12, 20])
 def test_uniform_light_keeps_its_moments(count):
     found = directional_lights(Environment(np.full((64, 128, 3), 0.5)), count)
     assert len(found) == count
@@ -21,7 +21,7 @@ def test_uniform_light_keeps_its_moments(count):
     total = sum(sun.irradiance[0] for sun in found)
     assert total == pytest.approx(2 * math.pi)
     second = sum(sun.irradiance[0] * np.outer(sun.direction, sun.direction) for sun in found) / total
-    np.testing.assert_allclose(second, np.eye(3) / 3, atol={4: 0.01, 6: 0.01, 12: 0.01, 20: 0.12}.get(count, 1.0))
+    np.testing.assert_allclose(second, np.eye(3) / 3, atol={12: 0.01, 20: 0.12}[count])
 
 
 def test_a_bright_spot_gets_a_light_of_its_own():
