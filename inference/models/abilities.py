@@ -26,13 +26,7 @@ class Abilities:
 
 
 SUNS_ALONE = Abilities()
-_systems: dict[str, Abilities] = {}
 _kinds: dict[str, Abilities] = {}
-
-
-def declare_system(name: str, abilities: Abilities) -> None:
-    """Let plans know a model without a weights file."""
-    _systems[name] = abilities
 
 
 def declare_kind(kind: str, abilities: Abilities) -> None:
@@ -41,9 +35,7 @@ def declare_kind(kind: str, abilities: Abilities) -> None:
 
 
 def abilities(model: str) -> Abilities:
-    """Of a model by name; of one that cannot be loaded, those of the least able."""
-    if model in _systems:
-        return _systems[model]
+    """Of a model by name; of one without a weights file, or with a damaged one, those of the least able."""
     try:
         state = (weights_file.WEIGHTS / f"{model}.onnx").stat()
         known = _kinds.get(_kind(weights_file.WEIGHTS, model, state.st_mtime_ns, state.st_size), SUNS_ALONE)

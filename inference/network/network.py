@@ -17,7 +17,7 @@ import numpy as np
 
 from ..grids.working_cube import Cube
 from ..models import weights_file
-from ..models.abilities import SUNS_ALONE, Abilities, declare_kind, declare_system
+from ..models.abilities import SUNS_ALONE, Abilities, declare_kind
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from ..scene.errors import SceneError
@@ -56,15 +56,12 @@ def register_kind(name: str, kind: Kind) -> None:
     declare_kind(name, kind.abilities)
 
 
-def register_system(
-    name: str, factory: Callable[[], System], listed: bool = True, abilities: Abilities = SUNS_ALONE
-) -> None:
-    """Let Settings.model name a system without a weights file; factory() makes it.
+def register_system(name: str, factory: Callable[[], System], listed: bool = True) -> None:
+    """Let Settings.model name a system without a weights file, which knows suns alone; factory() makes it.
 
     listed: whether `available_models` names it.
     """
     _systems[name] = factory
-    declare_system(name, abilities)
     if not listed:
         _unlisted.add(name)
 
