@@ -10,7 +10,7 @@ at the node: smooth light still has the full quadrature.
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -161,11 +161,8 @@ class DepthSamples:
         sampled = np.arange(len(self.starts))
         at_nodes = np.sort(np.concatenate([self.ray[:0], *(samples.ravel() for _, samples, _ in self._alike(sampled))]))
         detail = self.detail[self.ray[at_nodes]]
-        return DepthSamples(
-            pixel=self.pixel,
-            origins=self.origins,
-            directions=self.directions,
-            offsets=self.offsets,
+        return replace(
+            self,
             ray=self.ray[at_nodes],
             distance=self.distance[at_nodes],
             weight=self.weight[at_nodes] * detail,
@@ -175,10 +172,7 @@ class DepthSamples:
             features=None if self.features is None else RayFeatures(self.features.values[at_nodes]),
             lamp_features=None if self.lamp_features is None else RayFeatures(self.lamp_features.values[at_nodes]),
             scattering=None if self.scattering is None else self.scattering[at_nodes],
-            volumes=self.volumes,
-            rays=self.rays,
-            eyes=self.eyes,
-            motion=self.motion,
+            detail=None,
         )
 
     def _alike(self, sampled: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -101,22 +101,12 @@ class DepthBuffer:
         samples = distance.reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).transpose(0, 2, 1, 3)
         return samples.reshape(-1, SAMPLES**2)
 
-    def corner_distances(self, window: tuple[int, int, int, int], cancel: CancelToken = NEVER) -> np.ndarray:
-        """Distances float64 (rows + 1, columns + 1) along rays through the corners of the window's pixels.
-
-        Infinity where there is no surface. Raises Cancelled.
-        """
-        x0, y0, x1, y1 = window
-        return self.point_distances(x0 + np.arange(x1 - x0 + 1), y0 + np.arange(y1 - y0 + 1), cancel)
-
-    def point_distances(self, x: np.ndarray, y: np.ndarray, cancel: CancelToken = NEVER) -> np.ndarray:
-        """As `corner_distances`, (R, C), through points of the image in columns at x (C,) and rows at y (R,), each
-        evenly spaced.
-        """
-        return self.nearest(x, y, cancel)[0]
-
     def nearest(self, x: np.ndarray, y: np.ndarray, cancel: CancelToken = NEVER) -> tuple[np.ndarray, np.ndarray]:
-        """As `point_distances`, and the numbers int (R, C) of the triangles there, -1 where there is none."""
+        """Distances float64 (R, C) along rays through points of the image in columns at x (C,) and rows at y (R,), each
+        evenly spaced, and the numbers int (R, C) of the triangles there: infinity and -1 where there is none.
+
+        Raises Cancelled.
+        """
         size = np.array([len(x), len(y)])
         near = self._near((x[0], y[0], x[-1], y[-1]))
         steps = [values[1] - values[0] if len(values) > 1 else 1.0 for values in (x, y)]
@@ -268,7 +258,9 @@ def end_rays_at_surfaces(
         return EndedRays(hit, *np.empty((3, 0)))
     left, top, right, bottom = columns[hit].min(), rows[hit].min(), columns[hit].max() + 1, rows[hit].max() + 1
     window = left, top, right, bottom
-    corners, x, y = buffer.corner_distances(window, cancel), columns[hit] - left, rows[hit] - top
+    # At the corners of pixels.
+    corners, _ = buffer.nearest(np.arange(left, right + 1), np.arange(top, bottom + 1), cancel)
+    x, y = columns[hit] - left, rows[hit] - top
     ends = np.stack([corners[y + down, x + across] for down in (0, 1) for across in (0, 1)])
     hidden, first, last = np.isinf(ends), near[hit], far[hit]
     clipped = np.clip(ends, first, last)

@@ -2,7 +2,7 @@
 """Point, spot and area lights, and the emitters into which they are divided."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -224,8 +224,7 @@ class AreaLight(Lamp):
             corners = self.centre + quad @ axes.T
             unit = QuadEmitter(corners, normal, 1.0, self.spread)
             # Emitters of equal power; the quadrilaterals of a disk have only about equal areas.
-            radiance = self.area / len(quads) / unit.area / (np.pi * self.area)
-            emitters.append(QuadEmitter(corners, normal, radiance, self.spread))
+            emitters.append(unit.dimmed(self.area / len(quads) / unit.area / (np.pi * self.area)))
         return emitters
 
 
@@ -235,17 +234,8 @@ def _sphere_emitters(sphere: SphereEmitter, low: np.ndarray, high: np.ndarray, m
         least = max(least, LEAST_SPHERE * float((high - low).max()))
     if most < len(OCTAHEDRON) or sphere.radius <= least:
         return [sphere]
-    return [
-        SphereEmitter(
-            sphere.centre,
-            sphere.centre + sphere.radius * offset,
-            sphere.radius,
-            1.0 / len(OCTAHEDRON),
-            sphere.cone,
-            sphere.soft_falloff,
-        )
-        for offset in OCTAHEDRON
-    ]
+    share = 1.0 / len(OCTAHEDRON)
+    return [replace(sphere, position=sphere.centre + sphere.radius * offset, share=share) for offset in OCTAHEDRON]
 
 
 def _square_quads(count: int) -> list[np.ndarray]:
