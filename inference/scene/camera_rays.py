@@ -184,26 +184,11 @@ def places_in_image(
     return column + x0 + 0.5, row + y0 + 0.5
 
 
-def window_around(camera: Camera, corners: np.ndarray) -> tuple[int, int, int, int]:
-    """(x0, y0, x1, y1): the part of the camera's window whose pixels can show the convex hull of world points (N, 3).
-
-    The whole window where `image_points` is None.
-    """
-    x0, y0, x1, y1 = camera.window
-    pixels = image_points(camera, corners)
-    if pixels is None:
-        return x0, y0, x1, y1
-    # One pixel more on each side, for rounding.
-    low, high = np.floor(pixels.min(axis=1)) - 1.0, np.ceil(pixels.max(axis=1)) + 1.0
-    if not np.isfinite([low, high]).all():
-        return x0, y0, x1, y1
-    left, top = np.clip(low, [x0, y0], [x1, y1]).astype(int).tolist()
-    right, bottom = np.clip(high, [x0, y0], [x1, y1]).astype(int).tolist()
-    return left, top, right, bottom
-
-
 def windows_around(camera: Camera, corners: np.ndarray) -> np.ndarray:
-    """As `window_around`, int (V, 4), of the convex hulls of V times N points (V, N, 3); empty behind the camera."""
+    """Parts of the camera's window whose pixels can show the convex hulls of V times N world points (V, N, 3).
+
+    int (V, 4), x0, y0, x1, y1 each; empty behind the camera.
+    """
     x0, y0, x1, y1 = camera.window
     windows = np.tile([x0, y0, x1, y1], (len(corners), 1))
     if camera.projection == "equirectangular":

@@ -9,7 +9,7 @@ import numpy as np
 from ...inference.marching.ray_steps import MIN_VOXELS, STEP_GROWTH, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
 from ...inference.scene import Camera
-from ...inference.scene.camera_rays import image_rays, window_around
+from ...inference.scene.camera_rays import image_rays, windows_around
 
 # Fine steps per one that optical thickness asks for: cutting halves, and looks at blocks before it cuts them.
 FINE_STEPS = 2.5
@@ -127,8 +127,7 @@ def pixels_around(boxes: list[Box], camera: Camera) -> np.ndarray:
     """bool (H, W): pixels of the camera's window that may show a box, and their neighbours."""
     x0, y0, x1, y1 = camera.window
     covered = np.zeros((y1 - y0, x1 - x0), bool)
-    for box in boxes:
-        left, top, right, bottom = window_around(camera, corners(box))
+    for left, top, right, bottom in windows_around(camera, np.array([corners(box) for box in boxes]).reshape(-1, 8, 3)):
         covered[top - y0 : bottom - y0, left - x0 : right - x0] = True
     return covered
 

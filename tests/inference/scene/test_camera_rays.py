@@ -7,7 +7,7 @@ import pytest
 from benchmarks.stability.scenes import camera, placed, rotation
 from inference import Camera
 from inference.grids.grid import Grid
-from inference.scene.camera_rays import camera_rays, pixels_around, window_around
+from inference.scene.camera_rays import camera_rays, pixels_around, windows_around
 
 SIZE = 60, 40
 
@@ -45,7 +45,7 @@ def test_no_ray_that_hits_a_volume_is_skipped(seed):
         volume = placed(random.random((4, 3, 2), np.float32))
         volume.world_from_index[:3, :3] += 0.1 * random.normal(size=(3, 3))
         view, grid = random_view(random), Grid(volume)
-        (left, top, right, bottom), (found, first) = window_around(view, grid.corners()), hits(view, grid)
+        (left, top, right, bottom), (found, first) = windows_around(view, grid.corners()[None])[0], hits(view, grid)
         met += found.any()
         found[top - first[1] : bottom - first[1], left - first[0] : right - first[0]] = False
         assert not found.any()
@@ -60,7 +60,7 @@ def test_the_window_is_little_larger_than_the_volume(projection):
     rows, columns = np.nonzero(found)
     expected = columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
     assert 0 < found.mean() < 0.5
-    assert np.abs(np.subtract(window_around(view, grid.corners()), expected)).max() <= 3
+    assert np.abs(np.subtract(windows_around(view, grid.corners()[None])[0], expected)).max() <= 3
 
 
 @pytest.mark.parametrize("seed", [9, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (10, 11))])
