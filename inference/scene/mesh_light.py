@@ -102,6 +102,9 @@ class MeshLight(Lamp):
             u, v, w = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
             triangles = np.concatenate([np.stack(abc, axis=1) for abc in ((a, u, w), (u, b, v), (w, v, c), (u, v, w))])
         vectors = _vector_areas(triangles)
+        # Parts of slivers may have no area.
+        kept = np.linalg.norm(vectors, axis=1) > 0.0
+        triangles, vectors = triangles[kept], vectors[kept]
         volume = (triangles.mean(axis=1) * vectors).sum()
         return triangles, -vectors if self.closed and volume < 0.0 else vectors
 

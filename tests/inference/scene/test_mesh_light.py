@@ -208,3 +208,10 @@ def test_what_a_mesh_hides_of_itself_does_not_shine():
     assert found.mean() == pytest.approx(expected.mean(), rel=0.15)
     # Without what is hidden, the bars would shine more.
     assert summed(surface, places).mean() > 1.5 * expected.mean()
+
+
+def test_slivers_change_nothing():
+    """Divided into smaller triangles, a sliver has no area left."""
+    sliver = [(0.0, 0.9, 1.0), (0.3, 0.9, 1.0), (0.1, np.nextafter(0.9, 1.0), 1.0)]
+    found = MeshLight(replace(panel(), triangles=np.concatenate([panel().triangles, [sliver]])))
+    np.testing.assert_allclose(fluence(found), fluence(MeshLight(panel())), rtol=1e-6)
