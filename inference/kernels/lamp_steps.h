@@ -394,6 +394,19 @@ static void join_parts(const Scene *scene, int alone, Work *work) {
     }
 }
 
+/* What tells the visibility of an emitter. */
+typedef struct {
+    const LampShadowMap *map;
+    const Ray *ray;
+} LampShadow;
+
+static float lamp_visible_at(const void *from, double place) {
+    const LampShadow *shadow = from;
+    double along = shadow->ray->near + place * shadow->ray->dt, point[3];
+    for (int j = 0; j < 3; j++) point[j] = shadow->ray->origin[j] + along * shadow->ray->direction[j];
+    return (float)lamp_visibility(shadow->map, point);
+}
+
 /* Single scattering and ray features of a lamp of power 1; count: of samples with features. */
 static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edges, int64_t count, Work *work, int64_t r,
                      Gathered *out) {
@@ -420,11 +433,9 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
     if (smooth) clear_nodes(scene, work);
     for (int64_t e = 0; e < lamp->emitters; e++) {
         if (!mean) look_up_depths(scene, 0, lamp->columns + e * scene->volumes, edges, work);
-        for (int64_t s = 0; s < steps && lamp->shadow_maps; s++) {
-            double along = ray->near + place_in(work, s, 0.5) * ray->dt, point[3];
-            if (!(work->total[s] > 0.0f)) continue;
-            for (int j = 0; j < 3; j++) point[j] = ray->origin[j] + along * ray->direction[j];
-            work->visible[s] = (float)lamp_visibility(lamp->shadow_maps + e, point);
+        if (lamp->shadow_maps) {
+            LampShadow shadow = {lamp->shadow_maps + e, ray};
+            look_up_visibility(lamp_visible_at, &shadow, work);
         }
         if (smooth) {
             add_at_nodes(scene, lamp->parts + e, ray, count > 0, work);

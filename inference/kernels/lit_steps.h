@@ -44,16 +44,43 @@ static inline double place_in(const Work *work, int64_t step, double inside) {
     return work->place[block] + ((double)(step % STEPS) + inside) * work->size[block];
 }
 
-static void look_up_visibility(const Scene *scene, int64_t l, const Ray *ray, Work *work) {
-    const ShadowMap *map = scene->shadow_maps + l;
-    Line line = line_in(map->linear, map->offset, ray);
-    for (int64_t s = 0; s < STEPS * work->blocks; s++) {
-        float position[3];
-        work->visible[s] = 1.0f;
-        if (!(work->total[s] > 0.0f)) continue;
-        position_at(&line, place_in(work, s, 0.5), position);
-        work->visible[s] = visibility_of(map, position);
+/* Parts of a step in whose middles visibility is looked up where it changes. */
+#define VISIBLE_PARTS 8
+
+/* Visibility of a light, 0 to 1, at a place on the ray; `from`: what tells it. */
+typedef float (*VisibleAt)(const void *from, double place);
+
+/* Fill `visible` in filled steps: as in the middle of each, and the mean over a step where that differs from the step
+before or behind it, so that edges of shadows do not jump from step to step. */
+static void look_up_visibility(VisibleAt visible_at, const void *from, Work *work) {
+    int64_t steps = STEPS * work->blocks;
+    for (int64_t s = 0; s < steps; s++) {
+        work->visible[s] = work->total[s] > 0.0f ? visible_at(from, place_in(work, s, 0.5)) : 1.0f;
     }
+    float before = -1.0f;
+    for (int64_t s = 0; s < steps; s++) {
+        float middle = work->visible[s], sum = 0.0f;
+        int filled = work->total[s] > 0.0f, followed = s + 1 < steps && work->total[s + 1] > 0.0f;
+        float behind = followed ? work->visible[s + 1] : middle;
+        int differs = filled && (behind != middle || (before >= 0.0f && before != middle));
+        before = filled ? middle : -1.0f;
+        if (!differs) continue;
+        for (int n = 0; n < VISIBLE_PARTS; n++) sum += visible_at(from, place_in(work, s, (n + 0.5) / VISIBLE_PARTS));
+        work->visible[s] = sum / VISIBLE_PARTS;
+    }
+}
+
+/* What tells the visibility of a sun. */
+typedef struct {
+    const ShadowMap *map;
+    Line line;
+} SunShadow;
+
+static float sun_visible_at(const void *from, double place) {
+    const SunShadow *shadow = from;
+    float position[3];
+    position_at(&shadow->line, place, position);
+    return visibility_of(shadow->map, position);
 }
 
 /* List the edges of filled steps; the edge between blocks that follow each other belongs to the second. */

@@ -156,7 +156,11 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
         memset(out->sample_features + out->samples * size, 0, (size_t)(count * size) * sizeof(float));
     }
     for (int64_t l = 0; l < scene->suns; l++) {
-        if (scene->shadow_maps) look_up_visibility(scene, l, &ray, work);
+        if (scene->shadow_maps) {
+            const ShadowMap *map = scene->shadow_maps + l;
+            SunShadow shadow = {map, line_in(map->linear, map->offset, &ray)};
+            look_up_visibility(sun_visible_at, &shadow, work);
+        }
         look_up_depths(scene, l, NULL, edges, work);
         add_single(scene, l, work, single);
         for (int64_t n = 0; n < work->active_count && features; n++) {

@@ -25,11 +25,12 @@ from inference.marching.ray_march import (
 )
 from inference.marching.ray_steps import STEPS, RayBatch
 from inference.numerics.quadrature import legendre_nodes
+from inference.occluders.lamp_shadow_map import LampShadowMap
 from inference.scene.emitters import Emitter
 
 from .march import MarchedMedium, block_sums, group_sums, mean_transmittance, reduced_fractions, scattered_source
 from .ray_features import SampleSteps, gather_ray_features
-from .ray_steps import Cutting
+from .ray_steps import Cutting, mean_visibility
 
 
 def light_directions(emitter: Emitter, points: np.ndarray) -> np.ndarray:
@@ -45,7 +46,7 @@ class _Steps:
     def __init__(self, medium: MarchedMedium, rays: RayBatch, known: np.ndarray) -> None:
         """known: bool (P, STEPS), whether light is looked up there."""
         blocks = medium.blocks
-        self.medium, self.rays, self.filled = medium, rays, np.flatnonzero(known)
+        self.medium, self.rays, self.known, self.filled = medium, rays, known, np.flatnonzero(known)
         self.ray = np.repeat(blocks.ray, STEPS)[self.filled]
         edges = np.zeros((len(blocks.ray), STEPS + 1), bool)
         edges[:, :-1] |= known
@@ -93,6 +94,16 @@ class _Steps:
         found = np.zeros(self.medium.total.shape, dtype)
         found.reshape(-1)[self.filled] = values
         return found
+
+    def visibility(self, shadow_map: LampShadowMap) -> np.ndarray:
+        """Visibility (S,) of an emitter."""
+
+        def visible_at(some: np.ndarray, part: float) -> np.ndarray:
+            distance = self.begin[some] + part * (self.end[some] - self.begin[some])
+            ray = self.ray[some]
+            return shadow_map.visibility(self.rays.origins[ray] + distance[:, None] * self.rays.directions[ray])
+
+        return mean_visibility(visible_at, self.medium.blocks, self.known)
 
     def positions(self, distance: np.ndarray) -> np.ndarray:
         """World positions (S, 3) at distances (S,) along the rays."""
@@ -192,7 +203,7 @@ class _LitSteps:
                 each[0][self.together] = depth[self.together]
         self.visible: list[np.ndarray | float] = [1.0] * len(lamp.emitters)
         if lamp.shadow_maps is not None:
-            self.visible = [shadow_map.visibility(steps.middle) for shadow_map in lamp.shadow_maps]
+            self.visible = [steps.visibility(shadow_map) for shadow_map in lamp.shadow_maps]
 
     def single(self, transmitted: np.ndarray, scattering: Sequence[np.ndarray]) -> np.ndarray:
         """Single scattering (R, V, S) for power 1; transmitted: (P, STEPS), from the ray's start.

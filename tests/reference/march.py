@@ -19,7 +19,7 @@ from inference.transport.discrete_ordinates import CELLS
 from inference.transport.scattered_fluence import ScatteredFluence
 
 from .ray_features import SampleSteps, gather_ray_features
-from .ray_steps import Blocks, Cutting, RayLines, cut_into_blocks, met_volumes, sums_within
+from .ray_steps import Blocks, Cutting, RayLines, cut_into_blocks, mean_visibility, met_volumes, sums_within
 from .sun_columns import sun_optical_depth
 
 # Further from 0 than any number of a step, and still a whole number in single precision.
@@ -244,14 +244,17 @@ def scattered_source(
 
 
 def _visibility(shadow_maps: Sequence[ShadowMap], medium: MarchedMedium, rays: RayBatch) -> np.ndarray:
-    """Visibility of each sun (L, P, STEPS) at the middle of each filled step."""
-    lines = RayLines(shadow_maps, rays, medium.lines.count)
-    filled = np.flatnonzero(medium.total)
-    ray = np.repeat(medium.blocks.ray, STEPS)[filled]
-    place = medium.blocks.steps(0.5).reshape(-1)[filled]
+    """Visibility of each sun (L, P, STEPS) in each filled step."""
+    lines, blocks = RayLines(shadow_maps, rays, medium.lines.count), medium.blocks
+    filled = medium.total > 0.0
+    ray, steps = np.repeat(blocks.ray, STEPS)[filled.ravel()], np.flatnonzero(filled)
     visibility = np.ones((len(shadow_maps), *medium.total.shape), np.float32)
     for l, shadow_map in enumerate(shadow_maps):
-        visibility[l].reshape(-1)[filled] = shadow_map.visibility(lines.index(l, ray, place))
+
+        def visible_at(some: np.ndarray, part: float) -> np.ndarray:
+            return shadow_map.visibility(lines.index(l, ray[some], blocks.steps(part).ravel()[steps[some]]))
+
+        visibility[l][filled] = mean_visibility(visible_at, blocks, filled)
     return visibility
 
 

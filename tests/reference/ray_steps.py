@@ -28,6 +28,8 @@ from .cells import near_filled, peaks_near
 
 # How often a block may be cut, and into how many at a time.
 LEVELS, MOST_PARTS = 7, 8
+# Parts of a step in whose middles visibility is looked up where it changes.
+VISIBLE_PARTS = 8
 # Evenly spaced points per step at which volumes are sampled; whatever depends on their mean is evaluated once per step.
 SAMPLES = 2
 
@@ -255,3 +257,21 @@ def _parts(tau: np.ndarray, reached: np.ndarray, size: np.ndarray, peak: np.ndar
     while np.any(more := filled & (parts < MOST_PARTS) & (peak > parts * allowed_peak) & (size > parts * FINEST)):
         parts[more] *= 2
     return parts
+
+
+def mean_visibility(
+    visible_at: Callable[[np.ndarray, float], np.ndarray], blocks: Blocks, filled: np.ndarray
+) -> np.ndarray:
+    """Visibility float32 (S,) of a light in filled steps, bool (P, STEPS).
+
+    That in the middle of each, and the mean over a step where the one before or behind it, filled too, has another in
+    its middle. visible_at: visibility (N,) in filled steps, by their number among them, int (N,), at a part of their
+    length.
+    """
+    steps, ray = np.flatnonzero(filled), np.repeat(blocks.ray, STEPS)[filled.ravel()]
+    found = np.asarray(visible_at(np.arange(len(steps)), 0.5), np.float32)
+    changes = (np.diff(steps) == 1) & (np.diff(ray) == 0) & (np.diff(found) != 0.0)
+    some = np.flatnonzero(np.append(changes, False) | np.append(False, changes))
+    parts = (np.arange(VISIBLE_PARTS) + 0.5) / VISIBLE_PARTS
+    found[some] = np.mean([visible_at(some, part) for part in parts], axis=0)
+    return found

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import training.rpnn  # noqa: F401  Lets settings name it.
-from inference import Medium, RenderCache, Settings, Sun, Surface, render
+from inference import Medium, PointLight, RenderCache, Settings, Sun, Surface, render
 from inference.occluders.cell_boundaries import CellBoundaries
 from inference.occluders.shadow_map import ShadowMap
 from inference.transport.diffusion import couple, solve
@@ -112,6 +112,28 @@ def test_no_light_no_scattering(model):
 
 
 SUN = Sun((0.2, 0.1, 1.0), 2.0)
+
+
+@pytest.mark.parametrize("light", [Sun((0.6, 0.0, -0.8), 1.0), PointLight((6.0, 0.0, -9.5), 1.0)], ids=["sun", "lamp"])
+def test_edges_of_shadows_lie_where_they_fall_and_not_at_steps(light):
+    """Thin fog lit from below past a wall, seen from above: the part of each ray that is lit, by fine sums."""
+    volume, wall = fog(), rectangle(-9, 0, -9, 9, -1.5)
+    medium, view = Medium(1e-3, 0.9, 0.0), camera("orthographic", (90, 2), ortho_scale=1.8)
+    settings = Settings(multiple=False)
+    lit, free = (
+        render([(volume, medium)], [light], view, settings, surfaces=surfaces).rgb[0, :, 0] for surfaces in ([wall], [])
+    )
+    x, z = (np.arange(90)[:, None] + 0.5) / 50.0 - 0.9, (np.arange(20_000) + 0.5) / 20_000 * 2.2 - 1.1
+    density = np.clip((1.0625 - np.abs(z)) / 0.125, 0.0, 1.0)
+    if isinstance(light, Sun):
+        shown, across = density, x + (z + 1.5) * 0.75
+    else:
+        beam = light.position[:, None, None] - np.stack(np.broadcast_arrays(x, 0.0, z))
+        shown, across = density / (beam**2).sum(axis=0), x - (z + 1.5) * beam[0] / beam[2]
+    expected = (shown * (across > 0.0)).sum(axis=1) / (shown + 0.0 * across).sum(axis=1)
+    assert 0.1 < expected.min() < expected.max() < 1.0 + 1e-9
+    # A step is longer than 0.005 of the ray.
+    np.testing.assert_allclose(lit / free, expected, atol=0.0015)
 
 
 def test_surfaces_that_block_no_light_change_nothing():
