@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..numerics.interpolation import pad_with_zeros, sample_padded
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import affine_inverse, product
 from ..scene.phase_function import henyey_greenstein
 
 #: Polynomials of a direction's components in the quadratic and the cubic term: harmonic, so that they are orthogonal to
@@ -105,7 +105,7 @@ class NodeGrid:
 
     def sample(self, positions: np.ndarray) -> np.ndarray:
         """float32 (N, K) at world positions (N, 3)."""
-        index_from_world = np.linalg.inv(self.world_from_index)
+        index_from_world = affine_inverse(self.world_from_index)
         index = product(positions, index_from_world[:3, :3].T) + index_from_world[:3, 3]
         index = np.clip(index, 0.0, np.array(self.values.shape[:3], np.float64) - 1.0).T.astype(np.float32)
         channels = range(self.values.shape[3])

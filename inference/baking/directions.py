@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.small_matmul import product, solve_positive
+from ..numerics.small_matmul import positive_inverse, product, solve_positive
 from ..scene.description import Sun
 from .directional_factor import (
     ANCHORS,
@@ -232,7 +232,7 @@ class DirectionFit:
         fitted = [np.einsum("nk,nk->n", coefficients, directional_terms(known.along[:, k], self.lobe)) for k in columns]
         least = MIN_RADIANCE * known.light.mean(axis=1, keepdims=True)
         residual = _logarithm(np.maximum(known.light, least)) - np.stack(fitted, axis=1)
-        inverse = np.linalg.inv(anchor_terms(ANCHORS))
+        inverse = positive_inverse(anchor_terms(ANCHORS))
         corrections = product(residual, inverse)
         # Off the middle, rays of turned cameras are not quite along the anchors.
         for start in range(0, len(corrections) if self.view.position is not None else 0, NODES_PER_BATCH):

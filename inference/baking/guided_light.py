@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..numerics.quadrature import PLASTIC
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 from .directional_factor import BakedView
 from .lattice import BakeLattice, block_means
 from .light_ahead import light_ahead
@@ -216,7 +216,7 @@ class LightAtPoints:
         near = [one.light / np.float32(max(float(one.light.mean()), 1e-30)) for one in known[:NEAR]]
         scattered = [sum(near) / np.float32(len(near))] if near else []
         sources = np.stack([*self._unscattered, *scattered])
-        index_direction = np.linalg.solve(self.grid.world_from_index[:3, :3], along[0])
+        index_direction = inverse(self.grid.world_from_index[:3, :3]) @ along[0]
         ahead, through = light_ahead(self._extinction, sources, index_direction)
         shared = [through, *near, np.ones_like(through)]
         if near:

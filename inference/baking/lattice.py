@@ -8,7 +8,7 @@ import numpy as np
 from ..grids.bounds import filled_bounds
 from ..grids.grid import Grid
 from ..grids.optical_depth_sweep import sun_optical_depth
-from ..numerics.small_matmul import affine_inverse, product
+from ..numerics.small_matmul import affine_inverse, inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Volume
@@ -140,7 +140,7 @@ class Visibility:
         self.cell = int(-(-self.shape.max() // VISIBILITY_CELLS))
         self._extinction = block_means(lattice.density, self.cell) * np.float32(sigma_t)
         frame = lattice.world_from_index[:3, :3] * self.cell
-        self._index_from_world, self._cancel = np.linalg.inv(frame), cancel
+        self._index_from_world, self._cancel = inverse(frame), cancel
         self.depths = np.stack([self._depths(direction) for direction in DIRECTIONS])
         # From the middle of a cell to its corners.
         edge = np.linalg.norm(frame, axis=0).max()
@@ -166,11 +166,11 @@ class Visibility:
         towards = np.concatenate([DIRECTIONS, np.unique(-viewed, axis=0)])
         further = [self._depths(direction) for direction in towards[len(DIRECTIONS) :]]
         known = np.concatenate([self.depths, further])
-        nearest = (rays @ -towards.T).argmax(axis=1)
+        nearest = product(rays, -towards.T).argmax(axis=1)
         depths = known.reshape(len(towards), -1)[nearest, np.arange(len(nearest))]
         if view.position is not None:
             # Nothing behind a viewer within the volume hides anything.
-            place = np.linalg.inv(lattice.world_from_index) @ [*view.position, 1.0]
+            place = affine_inverse(lattice.world_from_index) @ [*view.position, 1.0]
             at = np.floor((place[:3] + 0.5) / self.cell).astype(int)
             if np.all((at >= 0) & (at < self.depths.shape[1:])):
                 depths = np.maximum(depths - known[(nearest, *at)], np.float32(0.0))
@@ -188,7 +188,7 @@ class Visibility:
 
     def openness(self, voxels: np.ndarray) -> np.ndarray:
         """Mean transmittance (N,) of all directions from voxels int (N, 3) to the outside."""
-        mean: np.ndarray = np.tensordot(WEIGHTS, np.exp(-self.depths), 1)
+        mean: np.ndarray = np.einsum("d,dxyz->xyz", WEIGHTS, np.exp(-self.depths))
         return mean[tuple((voxels // self.cell).T)]
 
     def _in_voxels(self, cells: np.ndarray) -> np.ndarray:

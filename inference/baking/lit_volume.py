@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..numerics.interpolation import pad_with_zeros, sample_padded
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import affine_inverse, product
 from ..runtime.report import Report
 from .directional_factor import DirectionalFactor
 from .lattice import BakeLattice
@@ -58,6 +58,6 @@ class LitVolume:
 
 def _index(world_from_index: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Indices float32 (3, N) of world positions (N, 3)."""
-    inverse = np.linalg.inv(world_from_index)
+    inverse = affine_inverse(world_from_index)
     index: np.ndarray = (product(positions, inverse[:3, :3].T) + inverse[:3, 3]).T.astype(np.float32)
     return index

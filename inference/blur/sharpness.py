@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..numerics.small_matmul import inverse
 from ..scene.camera import Camera
 from ..scene.camera_rays import image_rays, seen_at
 from .eyes import Eyes
@@ -49,7 +50,7 @@ class Spreads:
         points = np.stack([origins + distance * directions for distance in (near, far)])
         moving: Iterable[np.ndarray] = [points] * len(eyes.cameras)
         if frames is not None:
-            moving = ((points - back[:, 3]) @ np.linalg.inv(back[:, :3]).T for back in frames)
+            moving = ((points - back[:, 3]) @ inverse(back[:, :3]).T for back in frames)
         seen = np.stack([seen_at(eye, places) for eye, places in zip(eyes.cameras, moving)])
         first, last = self._places(np.array([near, far]))
         # (2, E, 2, knots): where at place 0, and the slope.

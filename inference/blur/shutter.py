@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..numerics.small_matmul import affine_inverse, product
 from ..scene.camera import Camera, Shutter
 from ..scene.description import Motion, Surface
 
@@ -38,8 +39,8 @@ def moved_back(motion: Motion | None, times: np.ndarray) -> np.ndarray:
     """Places at the frame of places at times (E,) of the shutter, float64 (E, 3, 4); the same where nothing moves."""
     if motion is None:
         return np.broadcast_to(np.eye(4)[:3], (len(times), 3, 4))
-    matrices = np.array([matrix_at(motion.world_matrices, time) for time in times])
-    return np.asarray((motion.world_matrix @ np.linalg.inv(matrices))[:, :3])
+    matrices = (matrix_at(motion.world_matrices, time) for time in times)
+    return np.array([motion.world_matrix @ affine_inverse(matrix) for matrix in matrices])[:, :3]
 
 
 def corners_at(surface: Surface, time: float) -> np.ndarray:
@@ -51,8 +52,8 @@ def corners_at(surface: Surface, time: float) -> np.ndarray:
         return np.asarray(start + (place - first) * (end - start))
     if surface.motion is None:
         return surface.triangles
-    matrix = matrix_at(surface.motion.world_matrices, time) @ np.linalg.inv(surface.motion.world_matrix)
-    return np.asarray(surface.triangles @ matrix[:3, :3].T + matrix[:3, 3])
+    matrix = matrix_at(surface.motion.world_matrices, time) @ affine_inverse(surface.motion.world_matrix)
+    return np.asarray(product(surface.triangles, matrix[:3, :3].T) + matrix[:3, 3])
 
 
 def matrix_at(matrices: Sequence[np.ndarray] | np.ndarray, time: float) -> np.ndarray:

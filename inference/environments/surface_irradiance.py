@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..grids.working_cube import Cube
+from ..numerics.small_matmul import product
 from ..occluders.shadow_map import ShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.environment import Environment
@@ -59,7 +60,9 @@ class SurfaceIrradiance:
             radiance = ordinate_radiance(image * (sign * towards[..., axis, None] > 0.0)).mean(axis=1)
             arriving = 4.0 * np.pi * ORDINATE_WEIGHTS * radiance
             # The ordinates stand for parts of the sphere, which makes the flux smaller, but also without the medium.
-            whole = np.maximum((self.normals[own] @ ORDINATES.T) @ arriving, max(FAINT * arriving.sum(), 1e-30))
+            whole = np.maximum(
+                product(product(self.normals[own], ORDINATES.T), arriving), max(FAINT * arriving.sum(), 1e-30)
+            )
             light = self.solver.solve(EnteringLight(radiance), cancel)
             share[own] = self._flux(light)[own] / whole
         return share

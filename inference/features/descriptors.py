@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from .mip_lattices import Lattices
 from .stencil import Stencil, frames
 
@@ -105,5 +106,5 @@ def distinct_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def angle_to_sun(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """Angles gamma float32 (N,) between camera rays (N, 3) and the direction to the sun (3,), or of each (N, 3)."""
     omega, sun = np.asarray(omega, np.float64), np.asarray(sun, np.float64)
-    cosine = omega @ sun if sun.ndim == 1 else (omega * sun).sum(axis=1)
+    cosine = product(omega, sun) if sun.ndim == 1 else (omega * sun).sum(axis=1)
     return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)

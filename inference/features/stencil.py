@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..numerics.small_matmul import lengths
+from ..numerics.small_matmul import lengths, product
 
 # Points and mip level of each layer: eight low-frequency layers, then four high-frequency layers.
 LAYER_POINTS = (8, 8, 16, 16, 16, 32, 32, 32, 8, 8, 8, 8)
@@ -83,7 +83,7 @@ def frames(omega: np.ndarray, sun: np.ndarray) -> np.ndarray:
     but fixed.
     """
     omega = np.asarray(omega, np.float64)
-    along = omega @ sun if np.ndim(sun) == 1 else (omega * sun).sum(axis=1)
+    along = product(omega, sun) if np.ndim(sun) == 1 else (omega * sun).sum(axis=1)
     x = sun - along[:, None] * omega
     length = lengths(x)
     parallel = np.flatnonzero(length < 1e-6)

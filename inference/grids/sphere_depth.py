@@ -23,6 +23,7 @@ Where the density varies, the second term is in proportion to the density on the
 import numpy as np
 
 from ..numerics.quadrature import legendre_nodes
+from ..numerics.small_matmul import product
 from ..scene.emitters import light_start
 
 #: Number of nodes of a table, even in d / (1 + d); kernels hold it, too.
@@ -97,7 +98,7 @@ def _log_arriving(thickness: float, forward: float) -> np.ndarray:
     steps = np.diff(ends)
     distances = (ends[:-1, None] + steps[:, None] * nodes).ravel()
     turned = np.exp(_log_surface(thickness, distances[:, None], True) - forward * thickness * distances)
-    collisions = (thickness * _falloff(distances) * turned).reshape(-1, CLOSE_NODES) @ weights * steps
+    collisions = product((thickness * _falloff(distances) * turned).reshape(-1, CLOSE_NODES), weights) * steps
     collided = np.concatenate([[0.0], np.cumsum(collisions)])[np.searchsorted(ends, distance)]
     straight = np.exp(_log_surface(thickness, distance[:, None], True) - forward * thickness * distance)
     more = np.divide(forward * collided, _falloff(distance), out=np.zeros(NODES), where=distance > 0.0)

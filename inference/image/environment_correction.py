@@ -108,7 +108,7 @@ def _compare(
     def sums(batch: int) -> tuple[np.ndarray, np.ndarray]:
         traced = context.tasks.map(functools.partial(trace, batch), range(0, len(opacity), RAYS_PER_TASK))
         mean, variance = (np.concatenate(part) for part in zip(*traced))
-        return opacity @ mean, opacity**2 @ variance
+        return (opacity[:, None] * mean).sum(axis=0), (opacity[:, None] ** 2 * variance).sum(axis=0)
 
     whole = predicted.sum(axis=1)
     traced, variance = sums(0)

@@ -152,7 +152,7 @@ def open_volume(volume: Volume, surfaces: Sequence[Surface], eye: np.ndarray, ca
     matrix, density = volume.world_from_index, np.empty_like(dense)
     scattering = [np.array(grid.dense() if isinstance(grid, SparseGrid) else grid) for grid in volume.scattering or ()]
     y, z = np.meshgrid(*(np.arange(n) for n in dense.shape[1:]), indexing="ij")
-    across = np.stack([y.ravel(), z.ravel()], axis=1) @ matrix[:3, 1:3].T + matrix[:3, 3]
+    across = product(np.stack([y.ravel(), z.ravel()], axis=1), matrix[:3, 1:3].T) + matrix[:3, 3]
     for x, slab in enumerate(dense):
         cancel.check()
         density[x] = slab
@@ -194,7 +194,8 @@ def _sunlit_share(media: Sequence[BoundMedium], sun: int, shadow_map: ShadowMap 
         light *= np.prod(np.ptp(bound.grid.corners(), axis=0))
         points = product(index.T - bound.offset, inverse(bound.linear).T)
         taken += light.sum()
-        lit += light @ shadow_map.visibility((points @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))
+        seen = product(points, shadow_map.linear.T) + shadow_map.offset
+        lit += (light * shadow_map.visibility(seen.T.astype(np.float32))).sum()
     return lit / taken
 
 
@@ -292,7 +293,7 @@ def _leaving_share(albedo: float, depth: float) -> float:
 def sun_light(sun: Sun, seen: SeenPoints) -> np.ndarray:
     """Irradiance (P,) of surfaces by a sun of irradiance 1, without what lies in between."""
     directions, shares = (sun.direction[None], np.ones(1)) if sun.spread is None else sun.spread
-    return np.maximum(seen.normals @ directions.T, 0.0) @ shares
+    return product(np.maximum(product(seen.normals, directions.T), 0.0), shares)
 
 
 def _sky_light(sky: Sequence[Environment], seen: SeenSurfaces) -> tuple[np.ndarray, np.ndarray]:
@@ -325,7 +326,7 @@ def _sky_visibility(
     for sun in (sun for environment in sky for sun in directional_lights(environment, DIRECTIONS)):
         cancel.check()
         # Of a part of the sky around a surface's horizon, the surface itself hides what its middle tells.
-        light = sun_light(sun, seen) * sun.irradiance.mean() * (seen.normals @ sun.direction > 0.0)
+        light = sun_light(sun, seen) * sun.irradiance.mean() * (product(seen.normals, sun.direction) > 0.0)
         whole += light
         left += light * sun_visibility(shading, sun, seen, corners, cancel)
     return left / whole
@@ -374,7 +375,7 @@ def shading_surfaces(surfaces: Sequence[Surface], seen: SeenPoints, corners: np.
 
     def rises(surface: Surface) -> bool:
         corners = (surface.triangles.reshape(-1, 3) - middle) / size
-        return bool(np.any(corners @ planes[:, :3].T - planes[:, 3] > FLAT))
+        return bool(np.any(product(corners, planes[:, :3].T) - planes[:, 3] > FLAT))
 
     return [surface for surface in shading if rises(surface)]
 
@@ -401,7 +402,9 @@ def sun_visibility(
         shadow_map = ShadowMap(blocking, direction, np.concatenate([box, corners]), cancel)
         cell = 1.0 / np.linalg.norm(shadow_map.linear[0])
         lifted = points + CLEARANCE * cell * seen.normals[near]
-        visible[near] = shadow_map.visibility((lifted @ shadow_map.linear.T + shadow_map.offset).T.astype(np.float32))
+        visible[near] = shadow_map.visibility(
+            (product(lifted, shadow_map.linear.T) + shadow_map.offset).T.astype(np.float32)
+        )
     return visible
 
 

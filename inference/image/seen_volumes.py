@@ -9,6 +9,7 @@ import numpy as np
 from ..blur.eyes import Eyes
 from ..grids.bound_medium import Movement
 from ..grids.grid import Grid
+from ..numerics.small_matmul import inverse
 from ..plan.plan import make_tiles
 from ..plan.resolution import BAND
 from ..scene.camera import Camera
@@ -76,7 +77,7 @@ def _moving(corners: np.ndarray, eyes: Eyes, motion: Movement | None) -> Iterato
             yield corners
         else:
             frame = motion.frames[number]
-            yield (corners - frame[:, 3]) @ np.linalg.inv(frame[:, :3]).T
+            yield (corners - frame[:, 3]) @ inverse(frame[:, :3]).T
 
 
 def _windows_around(eyes: Eyes, corners: np.ndarray, motion: Sequence[Movement | None]) -> np.ndarray:

@@ -98,7 +98,7 @@ class LampInMedia:
             depths = np.zeros(len(points))
             for grid, depth, extinction in zip(grids, self.depths[e], sigma_t):
                 depths += depth(grid.index(points).T.astype(np.float32), extinction)
-            captured += emitter.power * float(-np.expm1(-depths) @ light / max(light.sum(), 1e-300))
+            captured += emitter.power * float((-np.expm1(-depths) * light).sum() / max(light.sum(), 1e-300))
         return captured
 
     @property

@@ -46,6 +46,11 @@ def solve_positive(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     return right
 
 
+def positive_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a symmetric positive definite matrix (K, K)."""
+    return solve_positive(np.repeat(matrix[..., None], len(matrix), axis=2), np.eye(len(matrix)))
+
+
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Lengths (N,) of vectors (N, 3); numpy's own function is slow along short axes."""
     x, y, z = vectors.T

@@ -14,7 +14,7 @@ import numpy as np
 from ..blur.eyes import Eyes
 from ..blur.shutter import corners_at
 from ..numerics.intersection import barycentric
-from ..numerics.small_matmul import inverse
+from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_rays
@@ -64,7 +64,7 @@ class DepthBuffer:
         camera = self.camera
         rotation = camera.world_matrix[:3, :3] / np.linalg.norm(camera.world_matrix[:3, :3], axis=0)
         # A camera that sees through one point of a lens has oblique axes.
-        corners, number = _beyond(corners @ inverse(rotation).T, closest)
+        corners, number = _beyond(product(corners, inverse(rotation).T), closest)
         cancel.check()
         if camera.projection == "orthographic":
             plane, value = corners[..., :2] / camera.ortho_scale, corners[..., 2]

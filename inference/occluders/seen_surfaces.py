@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.description import Surface
@@ -93,7 +94,7 @@ def _nearest_triangles(
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = np.stack(columns, axis=1), eye
         buffer = DepthBuffer(surfaces, Camera(matrix, resolution=(size, size), fov=np.pi / 2.0), cancel)
-        local = directions[on_face] @ matrix[:3, :3]
+        local = product(directions[on_face], matrix[:3, :3])
         column = np.clip((0.5 - 0.5 * local[:, 0] / local[:, 2]) * FACE, 0, FACE - 1).astype(int)
         row = np.clip((0.5 + 0.5 * local[:, 1] / local[:, 2]) * FACE, 0, FACE - 1).astype(int)
         numbers[on_face] = buffer.triangles((0, 0, size, size), cancel)[row, column]
@@ -113,7 +114,7 @@ def vantage(surfaces: Sequence[Surface], corners: np.ndarray, camera: Camera) ->
     for point in points:
         away = camera.world_matrix[:3, 3] - point
         if camera.projection == "orthographic":
-            away = (away @ axis) * axis
+            away = product(away, axis) * axis
         if not _meets(point, away, triangles):
             return point
     return None
@@ -135,7 +136,7 @@ def _meets(start: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> b
         scale = 1.0 / (p * along).sum(axis=1)
         u = ((start - a) * p).sum(axis=1) * scale
         q = np.cross(start - a, along)
-        v, t = (q @ direction) * scale, (q * up).sum(axis=1) * scale
+        v, t = product(q, direction) * scale, (q * up).sum(axis=1) * scale
         return bool(np.any((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0) & (t < 1.0)))
 
 

@@ -41,7 +41,8 @@ class ShadowMap:
         across = np.eye(3)[np.abs(direction).argmin()]
         across = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
         axes = np.stack([across, np.cross(direction, across), direction])
-        low, high = (corners @ axes.T).min(axis=0), (corners @ axes.T).max(axis=0)
+        placed = product(corners, axes.T)
+        low, high = placed.min(axis=0), placed.max(axis=0)
         cell = (high - low)[:2].max() / cells
         self.linear = axes / np.array([cell, cell, 1.0])[:, None]
         # The centres of the first cells have index 0.
@@ -49,7 +50,7 @@ class ShadowMap:
         size = np.maximum(np.ceil((high - low)[:2] / cell), 1).astype(int)
         heights = np.full(size[::-1], -np.inf)
         for triangles in surfaces:
-            projected = triangles @ self.linear.T + self.offset
+            projected = product(triangles, self.linear.T) + self.offset
             highest, _ = rasterize_nearest(projected[..., :2], projected[..., 2], size, cancel)
             np.maximum(heights, highest, out=heights)
         self.heights = heights.astype(np.float32)

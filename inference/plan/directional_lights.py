@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..scene.description import Sun
 from ..scene.environment import LUMA, Environment, pixel_solid_angles
 
@@ -21,9 +22,9 @@ def directional_lights(environment: Environment, count: int) -> list[Sun]:
     Debevec's variance minimization, 2009). A cell's direction is the mean of its light, so bright spots are met.
     """
     directions, light, name = *_reduced(environment), environment.name
-    power = light @ LUMA
+    power = product(light, LUMA)
     vertices = _icosahedron()
-    nearest = (directions @ vertices.T).argmax(axis=1)
+    nearest = product(directions, vertices.T).argmax(axis=1)
     cells = [np.flatnonzero((nearest == n) & (power > 0.0)) for n in range(len(vertices))]
     cells = [cell for cell in cells if len(cell)]
     while len(cells) < count:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..numerics.small_matmul import product
 from ..scene.description import Medium, Volume
 
 # Volumes are joined while the extent of all is at most this many times that of the smallest: beyond, the network would
@@ -64,4 +65,4 @@ def _corners(volume: Volume) -> np.ndarray:
     """World corners (8, 3) of the box between the centres of a grid's outermost voxels."""
     ends = np.array([(x, y, z, 1.0) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     index = ends * [*(np.array(volume.density.shape) - 1.0), 1.0]
-    return (index @ volume.world_from_index.T)[:, :3]
+    return product(index, volume.world_from_index.T)[:, :3]

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ..numerics.interpolation import pad_with_zeros, sample_padded
+from ..numerics.small_matmul import product
 from .description import MAX_IRRADIANCE, Sun
 from .errors import SceneError
 from .light import Families, Light
@@ -157,7 +158,7 @@ class Environment(Light):
     def directions(self) -> np.ndarray:
         """Directions float64 (H, 2H, 3) in the world from which the light of the pixels arrives."""
         assert self.world_from_environment is not None
-        return pixel_directions(len(self.radiance)) @ self.world_from_environment.T
+        return product(pixel_directions(len(self.radiance)), self.world_from_environment.T)
 
     def fluence(self) -> np.ndarray:
         """Fluence float64 (3,), W/m^2: radiance integrated over the sphere."""
@@ -193,7 +194,7 @@ class Environment(Light):
 
         Radiance above a multiple of the mean is taken out; the radiance below it stays.
         """
-        light = self.radiance @ LUMA
+        light = product(self.radiance, LUMA)
         angles = np.broadcast_to(pixel_solid_angles(len(light)), light.shape)
         total = float((light * angles).sum())
         most, limit = float(light.max(initial=0.0)), np.inf
@@ -208,7 +209,7 @@ class Environment(Light):
         pixels = np.flatnonzero(excess)
         towards, power = directions.reshape(-1, 3)[pixels], excess.reshape(-1)[pixels]
         for _ in range(MAX_PEAKS):
-            near = towards @ towards[power.argmax()] > np.cos(PEAK_ANGLE)
+            near = product(towards, towards[power.argmax()]) > np.cos(PEAK_ANGLE)
             if power[near].sum() < PEAK_FRACTION * total:
                 break
             own = pixels[near]
@@ -226,7 +227,7 @@ def _peak(directions: np.ndarray, power: np.ndarray, irradiance: np.ndarray, nam
     mean = (power[:, None] * directions).sum(axis=0)
     mean /= np.linalg.norm(mean)
     weights = power / power.sum()
-    if np.arccos(min(np.sqrt(weights @ (directions @ mean) ** 2), 1.0)) < POINT_ANGLE:
+    if np.arccos(min(np.sqrt((weights * product(directions, mean) ** 2).sum()), 1.0)) < POINT_ANGLE:
         return Sun(mean, irradiance, name)
     boxes, box = np.unique(np.floor(directions / PEAK_CELL).astype(int), axis=0, return_inverse=True)
     box = box.reshape(-1)

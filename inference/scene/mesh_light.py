@@ -77,7 +77,7 @@ class MeshLight(Lamp):
         """(3,)."""
         triangles, vectors = self._triangles
         areas = np.linalg.norm(vectors, axis=1)
-        return areas @ triangles.mean(axis=1) / areas.sum()
+        return (areas[:, None] * triangles.mean(axis=1)).sum(axis=0) / areas.sum()
 
     @functools.cached_property
     def extent(self) -> float:
@@ -150,7 +150,7 @@ class MeshLight(Lamp):
         slope = np.sqrt(np.maximum(1.0 - cosines**2, 0.0)) / cosines
         deeper = width * distance * (DEEPER + DEEPER_ON_SLOPES * slope)
         light = cosines / distance**2
-        return float(light @ (distance <= first[cells][facing] + deeper)), float(light.sum())
+        return float(light[distance <= first[cells][facing] + deeper].sum()), float(light.sum())
 
     def emitters(self, low: np.ndarray, high: np.ndarray, most: int = MOST) -> Sequence[Emitter]:
         """As of PointLight. A single one is rough, and as bright as if no part of the mesh hid another."""
@@ -233,7 +233,7 @@ def _vector_areas(triangles: np.ndarray) -> np.ndarray:
 
 def _principal_moment(points: np.ndarray, areas: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Second moment of points (N, D) along their principal axis, weighted by areas (N,); that axis and their mean."""
-    mean = areas @ points / areas.sum()
+    mean = (areas[:, None] * points).sum(axis=0) / areas.sum()
     away = points - mean
     values, axes = np.linalg.eigh((away * areas[:, None]).T @ away)
     # A ball has equal moments along several axes, between which rounding must not decide.

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ..numerics.quadrature import legendre_nodes
-from ..numerics.small_matmul import product
+from ..numerics.small_matmul import inverse, product
 
 # Nodes of a cap of directions, in rings: their heights below its top over its height, and cosines of the azimuths on
 # each; and the spacing of nodes, over the extent of the cap. The kernel holds these, too.
@@ -51,7 +51,7 @@ class SpotCone:
         turns = np.linspace(0.0, 2.0 * np.pi, EDGE_NODES, endpoint=False)
         sine = np.sqrt(max(1.0 - self.cosine**2, 0.0))
         edge = np.stack([sine * np.cos(turns), sine * np.sin(turns), np.full(EDGE_NODES, self.cosine)])
-        edge = np.linalg.solve(self.frame, edge)
+        edge = inverse(self.frame) @ edge
         cosines = self.axis @ (edge / np.linalg.norm(edge, axis=0))
         return float(np.clip(cosines.min() - EDGE_ERROR, -1.0, 1.0))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..grids.optical_depth_sweep import sun_optical_depth
+from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.phase_function import henyey_greenstein
 from ..transport.discrete_ordinates import CellSource, DiscreteOrdinates, Fields, Follower
@@ -65,7 +66,7 @@ class SunBeam:
 
     def _phase(self, solver: DiscreteOrdinates, steps: np.ndarray) -> np.ndarray:
         """Henyey-Greenstein phase function (D,) of the beam along steps (D, 3)."""
-        cosine = -(steps @ self.direction) / np.sqrt((steps**2).sum(axis=1))
+        cosine = -product(steps, self.direction) / np.sqrt((steps**2).sum(axis=1))
         return henyey_greenstein(cosine, solver.anisotropy)
 
 

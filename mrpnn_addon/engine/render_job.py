@@ -11,6 +11,7 @@ import numpy as np
 
 from ... import inference
 from ...inference.image.layer import Layer, empty_layer
+from ...inference.numerics.small_matmul import affine_inverse
 from ...inference.runtime.report import Report
 from ...inference.scene import Camera, Cancelled, SceneError, Settings
 from ..objects.views import View, view_path
@@ -108,7 +109,7 @@ def _dark(scene: SceneDescription, camera: Camera, layer: Layer) -> list[str]:
     if not scene.lights or layer.alpha.min(initial=1.0) < OPAQUE or layer.rgb.max(initial=0.0) > BLACK:
         return []
     for volume, _ in scene.volumes:
-        index = np.linalg.solve(volume.world_from_index, camera.world_matrix[:, 3])[:3]
+        index = (affine_inverse(volume.world_from_index) @ camera.world_matrix[:, 3])[:3]
         if np.all(index > -0.5) and np.all(index < np.array(volume.density.shape) - 0.5):
             return [
                 f'the camera is inside volume "{volume.name}", which is so dense there that the picture is black; move '

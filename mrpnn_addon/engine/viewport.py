@@ -10,6 +10,7 @@ from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
 from ...inference import RenderCache
+from ...inference.numerics.small_matmul import affine_inverse
 from ...inference.scene import Camera, Lens, SceneError, Settings
 from ..objects.camera import read_lens
 from ..objects.visibility import visibility_state
@@ -46,7 +47,7 @@ def viewport_camera(
     """
     view, window = np.array(view_matrix), np.array(window_matrix)
     # A view through a camera of scale 0 has no inverse; Camera rejects it.
-    world = np.linalg.inv(view) if np.isfinite(view).all() and np.linalg.det(view) else np.full((4, 4), np.nan)
+    world = affine_inverse(view) if np.isfinite(view).all() and np.linalg.det(view) else np.full((4, 4), np.nan)
     width, height = size
     left, bottom, right, top = part
     share = right - left

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...inference.grids.bound_medium import Flow
 from ...inference.grids.grid import Grid
+from ...inference.numerics.small_matmul import inverse
 from ...inference.scene import Camera, Medium, Volume
 from ...inference.scene.camera_rays import camera_rays, seen_at
 
@@ -52,7 +53,7 @@ def _velocities(volume: Volume, grid: Grid, places: np.ndarray) -> np.ndarray:
     assert volume.velocity is not None
     flow = Flow(volume.velocity, Flow.grids_of(volume.velocity), np.zeros(1))
     world_from_index = volume.velocity.world_from_index
-    index = (places - world_from_index[:3, 3]) @ np.linalg.inv(world_from_index[:3, :3]).T
+    index = (places - world_from_index[:3, 3]) @ inverse(world_from_index[:3, :3]).T
     first = np.floor(index)
     found, amount = np.zeros_like(places), np.zeros((len(places), 1))
     for corner in np.ndindex(2, 2, 2):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...inference.numerics.small_matmul import affine_inverse
 from .colour_operations import BLENDS, from_hsl, from_hsv, luminance, to_hsl, to_hsv
 from .emission import blackbody_colour
 from .math_operations import MATH, VECTOR_MATH, about_axis, clamp, divide, euler_matrices, rotated, smoothstep
@@ -240,7 +241,10 @@ def _texture_coordinate(values: "NodeEvaluator", node: Node, output: Socket, gro
     if output.identifier == "Object" and node.object is None:
         return values.points.coordinates("object", node)
     if output.identifier == "Object":
-        inverse = np.linalg.inv(np.array(node.object.matrix_world))
+        matrix = np.array(node.object.matrix_world)
+        if not np.linalg.det(matrix):
+            raise unsupported(node, "an object of scale 0")
+        inverse = affine_inverse(matrix)
         return values.points.coordinates("world", node) @ inverse[:3, :3].T + inverse[:3, 3]
     if output.identifier == "Generated" and not node.from_instancer:
         return values.points.coordinates("generated", node)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ...inference.numerics.small_matmul import inverse
 from ...inference.scene import AreaLight, PointLight, SceneError, SpotLight, Sun, soft_sun
 from ..nodes.evaluation import NodeEvaluator, Nowhere
 from ..nodes.light_shader import EMISSION, emitted
@@ -89,7 +90,7 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
     if not abs(np.linalg.det(matrix[:3, :3])) > 1e-9 * np.prod(lengths):
         raise SceneError(f"{name}: it has scale 0 and shines in no direction")
     # A lamp's cone is round in the lamp's own frame.
-    frame = np.linalg.inv(matrix[:3, :3]) * lengths[2] * [[1.0], [1.0], [-1.0]]
+    frame = inverse(matrix[:3, :3]) * lengths[2] * [[1.0], [1.0], [-1.0]]
     even = np.allclose(frame @ frame.T, np.eye(3), atol=1e-3)
     cone = lamp.spot_size, lamp.spot_blend, radius, name, soft
     return SpotLight(position, -matrix[:3, 2], power, *cone, frame=None if even else frame), warnings

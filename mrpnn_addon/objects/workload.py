@@ -8,6 +8,7 @@ import numpy as np
 
 from ...inference.marching.ray_steps import MIN_VOXELS, STEP_GROWTH, STEP_THICKNESS, STEPS_PER_EDGE
 from ...inference.numerics.intersection import box_interval
+from ...inference.numerics.small_matmul import affine_inverse
 from ...inference.scene import Camera
 from ...inference.scene.camera_rays import image_rays, windows_around
 
@@ -156,10 +157,9 @@ def _intervals(
     near, far = np.full(len(origins), np.inf), np.full(len(origins), -np.inf)
     thickness = np.zeros(len(origins))
     for box in boxes:
-        try:
-            inverse = np.linalg.inv(box.matrix)
-        except np.linalg.LinAlgError:
+        if not np.linalg.det(box.matrix):
             continue
+        inverse = affine_inverse(box.matrix)
         start = origins @ inverse[:3, :3].T + inverse[:3, 3]
         first, last = box_interval(start, directions @ inverse[:3, :3].T, box.low, box.high)
         first, last = np.maximum(first, clip_near), np.minimum(last, clip_far)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...inference.numerics.small_matmul import affine_inverse
 from ...inference.scene import SceneError
 from ...inference.scene.sparse_grid import EDGE, SparseGrid
 from ..vdb.density_grid import DENSE_SPAN, MAX_SPAN, MAX_VOXELS, DensityGrid
@@ -108,7 +109,7 @@ def _refined(grid: DensityGrid) -> DensityGrid:
 
 def _is_on(grid: DensityGrid, reference: DensityGrid) -> bool:
     """Whether the voxels of a grid are some of another's, or would be in a larger box."""
-    relative = np.linalg.inv(reference.object_from_index) @ grid.object_from_index
+    relative = affine_inverse(reference.object_from_index) @ grid.object_from_index
     apart = relative - np.eye(4)
     apart[:3, 3] -= np.round(apart[:3, 3])
     return bool(np.abs(apart[:3, :3]).max() <= 1e-4 and np.abs(apart[:3, 3]).max() <= 1e-2)
@@ -118,7 +119,7 @@ def _on(
     grid: DensityGrid, reference: DensityGrid, name: str, where: str, check: Callable[[], None]
 ) -> tuple[np.ndarray | SparseGrid, np.ndarray]:
     """A grid on the voxels of another, and the offset int (3,) of its box from the other's."""
-    relative = np.linalg.inv(reference.object_from_index) @ grid.object_from_index
+    relative = affine_inverse(reference.object_from_index) @ grid.object_from_index
     offset = np.round(relative[:3, 3]).astype(int)
     both_sparse = isinstance(grid.density, SparseGrid) and isinstance(reference.density, SparseGrid)
     apart = (_blocks_start(grid) - _blocks_start(reference) - offset) % EDGE
@@ -136,7 +137,7 @@ def _box(grid: DensityGrid, reference: DensityGrid) -> tuple[np.ndarray, np.ndar
     """Lowest index and size, int (3,), in the voxels of another grid, of where a grid's interpolant is not its
     background.
     """
-    relative = np.linalg.inv(reference.object_from_index) @ grid.object_from_index
+    relative = affine_inverse(reference.object_from_index) @ grid.object_from_index
     ends = np.stack(np.meshgrid(*((-1.0, n) for n in grid.density.shape), indexing="ij"), axis=-1).reshape(-1, 3)
     corners = ends @ relative[:3, :3].T + relative[:3, 3]
     low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
@@ -159,10 +160,10 @@ def _resampled(
         source = grid.density.with_values(grid.density.values - background)
     else:
         source = SparseGrid.of_dense(grid.density - background)
-    to_reference = np.linalg.inv(reference.object_from_index) @ grid.object_from_index
+    to_reference = affine_inverse(reference.object_from_index) @ grid.object_from_index
     count = -(-size // EDGE)
     blocks = _covered(source, to_reference, low, count)
-    from_reference = np.linalg.inv(to_reference)
+    from_reference = affine_inverse(to_reference)
     inner = np.stack(np.unravel_index(np.arange(EDGE**3), (EDGE,) * 3), axis=1)
     numbers, values, kept = [], [np.zeros((1, EDGE, EDGE, EDGE), np.float32)], 0
     for start in range(0, len(blocks), BLOCKS_PER_BATCH):

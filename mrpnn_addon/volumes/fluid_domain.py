@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...inference.numerics.small_matmul import affine_inverse
 from ..nodes.material import VolumeMaterial
 from .shaded_grid import ShadedGrid, refine, require_a_grid, shade
 from .source import VolumeSource, is_refined
@@ -130,7 +131,7 @@ class FluidSource(VolumeSource):
             grids = {name: refine(values) for name, values in grids.items()}
             texture_from_index[:3, :3] *= 0.5
             texture_from_index[:3, 3] = 0.0
-        object_from_index = np.linalg.inv(self.generated) @ texture_from_index
+        object_from_index = affine_inverse(self.generated) @ texture_from_index
         frames = {
             "object": object_from_index,
             "world": self.matrix @ object_from_index,

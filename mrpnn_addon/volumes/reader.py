@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...inference.numerics.small_matmul import affine_inverse
 from ...inference.scene import Medium, SceneError, Velocity, Volume
 from ..nodes.material import (
     EmptyMaterial,
@@ -216,7 +217,7 @@ def _velocity_source(shown: VisibleObject, key: tuple) -> VelocitySource | None:
     domain, where = gas_domain(shown.object), _where(shown)
     if domain:
         components = velocities(domain)
-        space = np.linalg.inv(_generated(shown.object if domain.use_adaptive_domain else shown.object.original))
+        space = affine_inverse(_generated(shown.object if domain.use_adaptive_domain else shown.object.original))
         return FluidVelocity(key, components, space) if components else None
     if shown.object.type != "VOLUME" or not load_grids(shown.data):
         return None
