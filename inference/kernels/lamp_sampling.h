@@ -204,6 +204,12 @@ static inline double lamp_visibility(const LampShadowMap *map, const double *poi
     column = column > -1.0 ? smaller(column, 2.0 * half) : -1.0;
     row = row > -1.0 ? smaller(row, 2.0 * half) : -1.0;
     double left = floor(column), top = floor(row), u = column - left, v = row - top;
+    /* Nearly everywhere the map around tells, which is far smaller than the caches of processors. */
+    int64_t across = within((int64_t)left, map->cells - 1) / MRPNN_SHADOW_BLOCK;
+    int64_t down = within((int64_t)top, map->cells - 1) / MRPNN_SHADOW_BLOCK;
+    const float *extremes = map->extremes + 2 * ((face * map->blocks + down) * map->blocks + across);
+    if (distance <= extremes[0]) return 1.0;
+    if (distance > extremes[1]) return 0.0;
     for (int n = 0; n < 4; n++) {
         int64_t i = within((int64_t)left + (n >> 1), map->cells - 1), j = within((int64_t)top + (n & 1), map->cells - 1);
         double weight = (n >> 1 ? u : 1.0 - u) * (n & 1 ? v : 1.0 - v);
