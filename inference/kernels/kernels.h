@@ -123,7 +123,8 @@ typedef struct {
 /* Distance of the nearest surface in all directions from a point: LampShadowMap. */
 typedef struct {
     const float *distances;  /* (6, cells, cells) */
-    const float *extremes;   /* (6, blocks, blocks, 2), least and largest in squares of MRPNN_SHADOW_BLOCK cells and their next row and column */
+    const float *extremes;   /* (6, blocks, blocks, 2), least and largest in squares of MRPNN_SHADOW_BLOCK cells, and in
+                                the next row and column */
     int64_t cells, blocks;
     double position[3];
     double frames[54];       /* (6, 3, 3), axes of the faces as columns */

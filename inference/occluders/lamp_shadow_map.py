@@ -45,8 +45,10 @@ class LampShadowMap:
 
     @functools.cached_property
     def extremes(self) -> np.ndarray:
-        """Least and largest distance, float32 (6, m, m, 2), in each square of BLOCK x BLOCK cells, and in the row and the
-        column behind it: what filtering from any of its cells may read."""
+        """Least and largest distance, float32 (6, m, m, 2), in squares of BLOCK x BLOCK cells.
+
+        The next row and column count, too: filtering from a cell of the square may read them.
+        """
         blocks = -(-self.distances.shape[1] // BLOCK)
         missing = blocks * BLOCK + 1 - self.distances.shape[1]
         cells = np.pad(self.distances, [(0, 0), (0, missing), (0, missing)], mode="edge")
