@@ -48,6 +48,7 @@ VARYING = (
     "pixels.c",
     "products.c",
     "pyramid.c",
+    "raster.c",
     "sweeps.c",
 )
 

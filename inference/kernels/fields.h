@@ -432,6 +432,17 @@ typedef struct {
     double *counts;                             /* (rays), steps for the box that needs the most */
 } BoxCrossings;
 
+/* Triangles onto a raster of points, on each of which the largest value stays: rasterization.rasterize_nearest. */
+typedef struct {
+    int64_t triangles, rows, columns;
+    const double *corners;       /* (triangles, 3, 2), column and row */
+    const double *value;         /* (triangles, 3), interpolated linearly */
+    const int64_t *first, *last; /* (triangles, 2), column and row, within the raster, of boxes around triangles */
+    const int64_t *taken;        /* (triangles), number of each */
+    double *largest;             /* (rows, columns) */
+    int64_t *number;             /* (rows, columns), of the last triangle with the largest value */
+} Raster;
+
 /* Functions of the library that take one structure, which X is told with its type. */
 #define MRPNN_FUNCTIONS(X) \
     X(sweep_columns, const ColumnSweep) \
@@ -460,6 +471,7 @@ typedef struct {
     X(gather_light, const LightGather) \
     X(join_pixels, const PixelJoin) \
     X(cross_boxes, const BoxCrossings) \
+    X(fill_raster, const Raster) \
     X(multiply, const MatrixProduct)
 
 #endif

@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 34
+#define MRPNN_INTERFACE 36
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3
@@ -117,10 +117,15 @@ typedef struct {
     const float *excess;     /* (EXCESS_NODES), depths to be added at distances d, even in d / (d + radius), or NULL */
 } LampColumns;
 
+/* lamp_shadow_map.BLOCK. */
+#define MRPNN_SHADOW_BLOCK 16
+
 /* Distance of the nearest surface in all directions from a point: LampShadowMap. */
 typedef struct {
     const float *distances;  /* (6, cells, cells) */
-    int64_t cells;
+    const float *extremes;   /* (6, blocks, blocks, 2), least and largest in squares of MRPNN_SHADOW_BLOCK cells, and in
+                                the next row and column */
+    int64_t cells, blocks;
     double position[3];
     double frames[54];       /* (6, 3, 3), axes of the faces as columns */
 } LampShadowMap;

@@ -18,6 +18,9 @@
 #define DRAWN_IN 0.8660254037844386
 #define NODES_APART 0.5
 
+/* Radius, over the sphere's, of a sphere that holds the disks that represent it: light of none leaves its cone. */
+#define DISKS_REACH 2.0
+
 /* The nodes of Gauss and Legendre in [0, 1]. */
 static const double GAUSS_NODES[2] = {0.21132486540518713, 0.78867513459481287};
 
@@ -201,6 +204,12 @@ static inline double lamp_visibility(const LampShadowMap *map, const double *poi
     column = column > -1.0 ? smaller(column, 2.0 * half) : -1.0;
     row = row > -1.0 ? smaller(row, 2.0 * half) : -1.0;
     double left = floor(column), top = floor(row), u = column - left, v = row - top;
+    /* Nearly everywhere the map around tells, which is far smaller than the caches of processors. */
+    int64_t across = within((int64_t)left, map->cells - 1) / MRPNN_SHADOW_BLOCK;
+    int64_t down = within((int64_t)top, map->cells - 1) / MRPNN_SHADOW_BLOCK;
+    const float *extremes = map->extremes + 2 * ((face * map->blocks + down) * map->blocks + across);
+    if (distance <= extremes[0]) return 1.0;
+    if (distance > extremes[1]) return 0.0;
     for (int n = 0; n < 4; n++) {
         int64_t i = within((int64_t)left + (n >> 1), map->cells - 1), j = within((int64_t)top + (n & 1), map->cells - 1);
         double weight = (n >> 1 ? u : 1.0 - u) * (n & 1 ? v : 1.0 - v);
@@ -280,6 +289,14 @@ SpotCone.passed. */
 static inline double within_cone(const Emitter *emitter, const double *point) {
     static const double turns[3] = {0.8660254037844387, 0.0, -0.8660254037844387};
     double away[3], offset[3], radius = emitter->radius, area = radius * radius;
+    /* Most points lie far outside of the cone. */
+    double bound = emitter->bound * emitter->bound, rise = 0.0, length = 0.0;
+    double before = DISKS_REACH * radius / larger(sqrt(1.0 - bound), 1e-9);
+    for (int k = 0; k < 3; k++) {
+        double from = point[k] - (emitter->centre[k] - emitter->axis[k] * before);
+        rise += from * emitter->axis[k], length += from * from;
+    }
+    if (rise < 0.0 || rise * rise < bound * length) return 0.0;
     for (int k = 0; k < 3; k++) {
         away[k] = point[k] - emitter->centre[k];
         offset[k] = DRAWN_IN * (emitter->position[k] - emitter->centre[k]);
@@ -297,7 +314,7 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
     if (emitter->elliptic) {
         double seen[3];
         for (int k = 0; k < 3; k++) seen[k] = dot_of(emitter->frame + 3 * k, away) / distance;
-        double length = sqrt(dot_of(seen, seen));
+        length = sqrt(dot_of(seen, seen));
         level = seen[2] / length, radius *= sqrt(emitter->stretch / (length * length * length));
     }
     level = larger(smaller(level, 1.0), -1.0);
@@ -320,12 +337,12 @@ static inline double within_cone(const Emitter *emitter, const double *point) {
     return passed * (narrow ? cone / larger(1.0 - cap, 1e-30) : 1.0) / 6.0;
 }
 
-/* Distances along a ray between which an emitter may light it: SpotCone.between. */
-static inline void lit_interval(const Emitter *emitter, const double *origin, const double *direction, double *lit) {
+/* Distances along a ray between which an emitter of `reach` times its radius may light it: SpotCone.between. */
+static inline void lit_interval(const Emitter *emitter, double reach, const double *origin, const double *direction, double *lit) {
     lit[0] = -INFINITY, lit[1] = INFINITY;
     if (!emitter->cone) return;
     double square = emitter->bound * emitter->bound, away[3];
-    double before = emitter->radius / larger(sqrt(1.0 - square), 1e-9);
+    double before = reach * emitter->radius / larger(sqrt(1.0 - square), 1e-9);
     for (int k = 0; k < 3; k++) away[k] = origin[k] - (emitter->centre[k] - emitter->axis[k] * before);
     double level = dot_of(away, emitter->axis), rise = dot_of(direction, emitter->axis), along = dot_of(away, direction);
     double a = rise * rise - square;

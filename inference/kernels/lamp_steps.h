@@ -52,7 +52,7 @@ static inline Pass pass_of(const Emitter *emitter, const Ray *ray) {
         double across = pass.origin[k] + pass.nearest * ray->direction[k];
         pass.passing += across * across;
     }
-    lit_interval(emitter, ray->origin, ray->direction, pass.lit);
+    lit_interval(emitter, 1.0, ray->origin, ray->direction, pass.lit);
     for (int k = 0; k < 2; k++) pass.lit[k] -= pass.nearest;
     return pass;
 }
@@ -138,8 +138,7 @@ static void add_emitter(const Scene *scene, const Emitter *emitter, const Ray *r
     const Pass pass = pass_of(emitter, ray);
     double wide = scene->wide * scene->wide, brief = scene->brief * scene->brief;
     double extent = pass.passing + emitter->extent * emitter->extent;
-    int64_t steps = STEPS * work->blocks;
-    for (int64_t first = 0; first < steps; first += LANES) {
+    for (int64_t first = work->lit_from; first < work->lit_to; first += LANES) {
         Floats start = load(work->whole_start + first), end = load(work->whole_end + first) + load(work->tau + first);
         Floats weight = load(work->transmitted + first) * mean_transmittance(start, end) * load(work->visible + first);
         Ints filled = (load(work->total + first) > 0.0f) & (weight > 0.0f);
@@ -202,18 +201,37 @@ static inline void points_in(const Ray *ray, const Work *work, const int64_t *nu
 }
 
 /* Unattenuated fluence of an emitter in the middles of steps, in `light`. It is added, times the number of emitters
-that are alike, to the lamp's, and so is the fluence that it would have if it faced the steps. */
-static void look_up_fluence(const Emitter *emitter, const Ray *ray, float alike, int features, Work *work) {
+that are alike, to the lamp's, and so is, times `facing`, the fluence that it would have if it faced the steps. */
+static void look_up_fluence(const Emitter *emitter, const Ray *ray, float alike, float facing, Work *work) {
     int64_t steps = STEPS * work->blocks;
-    for (int64_t first = 0; first < steps; first += LANES) {
+    for (int64_t first = facing > 0.0f ? 0 : work->lit_from; first < steps; first += LANES) {
+        int lit = first >= work->lit_from && first < work->lit_to;
         Doubles point[3];
+        if (!lit && !(facing > 0.0f)) break;
         points_in(ray, work, NULL, NULL, steps, first, point);
-        Floats fluence = emitter_fluences(emitter, point);
-        store(work->light + first, fluence);
-        if (!features) continue;
-        store(work->fluence + first, load(work->fluence + first) + alike * fluence);
-        store(work->reference + first, load(work->reference + first) + alike * brightest_of(emitter, point));
+        if (lit) {
+            Floats fluence = emitter_fluences(emitter, point);
+            store(work->light + first, fluence);
+            store(work->fluence + first, load(work->fluence + first) + alike * fluence);
+        }
+        if (!(facing > 0.0f)) continue;
+        store(work->reference + first, load(work->reference + first) + facing * brightest_of(emitter, point));
     }
+}
+
+/* Tell which steps an emitter may light, and a step on either side. */
+static void find_lit(const Emitter *emitter, const Ray *ray, Work *work) {
+    int64_t steps = STEPS * work->blocks, from = steps, to = 0;
+    double lit[2];
+    lit_interval(emitter, DISKS_REACH, ray->origin, ray->direction, lit);
+    double begin = (lit[0] - ray->near) / ray->dt, end = (lit[1] - ray->near) / ray->dt;
+    for (int64_t b = 0; b < work->blocks; b++) {
+        if (!(work->place[b] + STEPS * work->size[b] >= begin && work->place[b] <= end)) continue;
+        from = least_int(from, STEPS * b), to = STEPS * (b + 1);
+    }
+    from = from > 0 ? from - 1 : 0;
+    work->lit_from = from / LANES * LANES;
+    work->lit_to = to ? (least_int(to + 1, steps) + LANES - 1) / LANES * LANES : work->lit_from;
 }
 
 /* List the ends of blocks. */
@@ -289,17 +307,17 @@ static void add_from_nodes(const Scene *scene, int features, Work *work, double 
     for (int64_t s = 0; s < steps; s += LANES) store(work->fluence + s, load(work->fluence + s) + load(light + s));
 }
 
-/* Mean optical depths of a lamp's light at the ends of filled steps, in the only volume. */
-static void look_up_mean(const Scene *scene, const Grid *mean, int64_t edges, Work *work) {
+/* Mean optical depths of a lamp's light at the edges that are listed, in the only volume. */
+static void look_up_mean(const Scene *scene, const Grid *mean, int64_t listed, Work *work) {
     float dark = (float)scene->dark;
     for (int64_t s = 0; s < STEPS * work->blocks; s++) work->start[s] = work->end[s] = dark;
-    for (int64_t e = 0; e < edges; e += LANES) {
+    for (int64_t e = 0; e < listed; e += LANES) {
         double place[LANES];
         Floats position[3];
-        FOR_LANES(n) place[n] = work->edge_place[least_int(e + n, edges - 1)];
+        FOR_LANES(n) place[n] = work->edge_place[work->listed[least_int(e + n, listed - 1)]];
         positions_at(work->lines, place, position);
         for (int axis = 0; axis < 3; axis++) position[axis] = position[axis] + 1.0f;
-        store_at_edges(work, e, (int)least_int(edges - e, LANES), sample_grid(mean, position), work->start, work->end);
+        store_at_edges(work, work->listed + e, (int)least_int(listed - e, LANES), sample_grid(mean, position), work->start, work->end);
     }
 }
 
@@ -313,11 +331,11 @@ static double distance_of(const Lamp *lamp, const Ray *ray, const Work *work) {
     return sqrt(square);
 }
 
-/* Whether the emitters of a lamp are parts of one sphere that shines all around. */
+/* Whether the emitters of a lamp are parts of one sphere. */
 static inline int of_one_sphere(const Lamp *lamp) {
     for (int64_t e = 0; e < lamp->emitters; e++) {
         const Emitter *part = lamp->parts + e;
-        if (part->flat || part->cone || memcmp(part->centre, lamp->parts->centre, sizeof part->centre)) return 0;
+        if (part->flat || memcmp(part->centre, lamp->parts->centre, sizeof part->centre)) return 0;
         if (part->radius != lamp->parts->radius || part->intensity != lamp->parts->intensity) return 0;
     }
     return 1;
@@ -348,8 +366,7 @@ static void light_samples(const Scene *scene, const Lamp *lamp, const Ray *ray, 
 
 /* Add an emitter's light, attenuated by the optical depths, and by surfaces, to the sums over emitters. */
 static void add_part(const Scene *scene, int alone, Work *work) {
-    int64_t steps = STEPS * work->blocks;
-    for (int64_t first = 0; first < steps; first += LANES) {
+    for (int64_t first = work->lit_from; first < work->lit_to; first += LANES) {
         Floats light = load(work->light + first), next = light;
         Ints filled = load(work->total + first) > 0.0f;
         store(work->lit + first, load(work->lit + first) + light * load(work->visible + first));
@@ -429,25 +446,31 @@ static void add_lamp(const Scene *scene, int64_t k, const Ray *ray, int64_t edge
     for (int64_t b = 0; b < work->blocks; b++) longest = larger(longest, work->size[b]);
     int mean = lamp->mean && distance >= lamp->mean_from, alone = lamp->emitters == 1 || mean;
     int smooth = STEPS * longest * ray->dt <= lamp->smooth * (distance - lamp->reach);
-    if (mean) look_up_mean(scene, lamp->mean, edges, work);
+    work->lit_from = 0, work->lit_to = steps;
+    if (mean) look_up_mean(scene, lamp->mean, list_lit(0, edges, work), work);
     if (smooth) clear_nodes(scene, work);
     for (int64_t e = 0; e < lamp->emitters; e++) {
-        if (!mean) look_up_depths(scene, 0, lamp->columns + e * scene->volumes, edges, work);
+        const Emitter *emitter = lamp->parts + e;
+        find_lit(emitter, ray, work);
         if (lamp->shadow_maps) {
             LampShadow shadow = {lamp->shadow_maps + e, ray};
             look_up_visibility(lamp_visible_at, &shadow, work);
         }
+        /* The mean depth of several emitters is that of their light without surfaces. */
+        int shaded = lamp->shadow_maps && (alone || !count);
+        if (!mean) look_up_depths(scene, 0, lamp->columns + e * scene->volumes, list_lit(shaded, edges, work), work);
         if (smooth) {
-            add_at_nodes(scene, lamp->parts + e, ray, count > 0, work);
+            add_at_nodes(scene, emitter, ray, count > 0, work);
             if (mean && e + 1 < lamp->emitters) continue;
             add_from_nodes(scene, count > 0, work, single, stride);
             if (!mean) clear_nodes(scene, work);
         } else {
-            /* All emitters of a sphere give the same. */
-            int alike = of_one_sphere(lamp);
+            /* All emitters of a sphere give the same, but for a cone. */
+            int sphere = of_one_sphere(lamp), alike = sphere && !emitter->cone;
             float times = alike ? (float)lamp->emitters : 1.0f;
-            if (!alike || e == 0) look_up_fluence(lamp->parts + e, ray, times, count > 0, work);
-            add_emitter(scene, lamp->parts + e, ray, work, single, stride);
+            float facing = !count ? 0.0f : !sphere ? 1.0f : e == 0 ? (float)lamp->emitters : 0.0f;
+            if (!alike || e == 0) look_up_fluence(emitter, ray, times, facing, work);
+            add_emitter(scene, emitter, ray, work, single, stride);
         }
         if (count) add_part(scene, alone, work);
     }

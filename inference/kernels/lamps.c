@@ -163,9 +163,11 @@ static void add_light(const LampBeam *beam, int64_t e, const Floats *index, cons
     Floats fluence = softened(emitter_fluences(emitter, point), beam->radius);
     *open += fluence;
     for (int n = 0; n < LANES && beam->shadow_maps[e]; n++) {
+        if (!(fluence[n] > 0.0f)) continue;
         double at[3] = {point[0][n], point[1][n], point[2][n]};
         fluence[n] *= (float)lamp_visibility(beam->shadow_maps[e], at);
     }
+    if (!any_lane(fluence > 0.0f)) return;
     *light += fluence * transmittance(lamp_depth(beam->columns[e], index, (float)beam->sigma));
 }
 

@@ -50,15 +50,15 @@ static inline double place_in(const Work *work, int64_t step, double inside) {
 /* Visibility of a light, 0 to 1, at a place on the ray; `from`: what tells it. */
 typedef float (*VisibleAt)(const void *from, double place);
 
-/* Fill `visible` in filled steps: as in the middle of each, and the mean over a step where that differs from the step
+/* Fill `visible` in filled steps that may be lit: as in the middle of each, and the mean over a step where that differs from the step
 before or behind it, so that edges of shadows do not jump from step to step. */
 static void look_up_visibility(VisibleAt visible_at, const void *from, Work *work) {
-    int64_t steps = STEPS * work->blocks;
-    for (int64_t s = 0; s < steps; s++) {
+    int64_t first = work->lit_from, steps = least_int(work->lit_to, STEPS * work->blocks);
+    for (int64_t s = first; s < steps; s++) {
         work->visible[s] = work->total[s] > 0.0f ? visible_at(from, place_in(work, s, 0.5)) : 1.0f;
     }
     float before = -1.0f;
-    for (int64_t s = 0; s < steps; s++) {
+    for (int64_t s = first; s < steps; s++) {
         float middle = work->visible[s], sum = 0.0f;
         int filled = work->total[s] > 0.0f, followed = s + 1 < steps && work->total[s + 1] > 0.0f;
         float behind = followed ? work->visible[s + 1] : middle;
@@ -105,21 +105,36 @@ static int64_t list_edges(Work *work) {
     return edges;
 }
 
+/* List the edges of steps that may be lit, where `shaded` of those that surfaces do not hide from the light: nothing else
+depends on the depth. Returns their number. */
+static int64_t list_lit(int shaded, int64_t edges, Work *work) {
+    int64_t count = 0;
+    for (int64_t e = 0; e < edges; e++) {
+        int32_t from = work->edge_from[e], to = work->edge_to[e];
+        int begins = from >= work->lit_from && from < work->lit_to && (!shaded || work->visible[from] > 0.0f);
+        int ends = to >= work->lit_from && to < work->lit_to && (!shaded || work->visible[to] > 0.0f);
+        work->listed[count] = (int32_t)e;
+        count += begins | ends;
+    }
+    return count;
+}
+
 /* Store depths at edges with the steps that start and end there. */
-static inline void store_at_edges(const Work *work, int64_t edge, int used, Floats depths, float *start, float *end) {
+static inline void store_at_edges(const Work *work, const int32_t *edges, int used, Floats depths, float *start, float *end) {
     float values[LANES];
     memcpy(values, &depths, sizeof values);
     for (int n = 0; n < used; n++) {
-        int32_t from = work->edge_from[edge + n], to = work->edge_to[edge + n];
+        int32_t from = work->edge_from[edges[n]], to = work->edge_to[edges[n]];
         if (from >= 0) start[from] = values[n];
         if (to >= 0) end[to] = values[n];
     }
 }
 
-/* Optical depths of each group and of all volumes towards one light, at the ends of filled steps.
+/* Optical depths of each group and of all volumes towards one light, at the edges that are listed; the depths of steps
+without such edges are those of darkness.
 
-l: number of the sun. columns: (volumes), around an emitter, or NULL for the sun. */
-static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t edges, Work *work) {
+l: number of the sun. columns: (volumes), around an emitter, or NULL for the sun. listed: number of the edges. */
+static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *const *columns, int64_t listed, Work *work) {
     int64_t steps = STEPS * work->blocks;
     float dark = (float)scene->dark;
     int single_group = scene->groups == 1, outside = scene->volumes > 1 || scene->at_start;
@@ -129,15 +144,16 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
         float *start = work->start + work->group_rows[g], *end = work->end + work->group_rows[g];
         for (int64_t s = 0; s < steps && work->group_met[g]; s++) start[s] = end[s] = dark;
     }
-    for (int64_t e = 0; e < edges; e += LANES) {
+    for (int64_t e = 0; e < listed; e += LANES) {
+        const int32_t *numbers = work->listed + e;
         double place[LANES];
         Floats depth, total = in_all(0.0f);
         /* The last edge again where there are no more. */
         FOR_LANES(n) {
-            int64_t edge = e + n < edges ? e + n : edges - 1;
+            int64_t edge = work->listed[least_int(e + n, listed - 1)];
             place[n] = work->edge_place[edge], depth[n] = work->edge_depth[edge];
         }
-        int used = edges - e < LANES ? (int)(edges - e) : LANES;
+        int used = (int)least_int(listed - e, LANES);
         for (int64_t n = 0; n < work->active_count; n++) {
             int64_t g = work->active[n];
             Floats sum = in_all(0.0f);
@@ -156,10 +172,10 @@ static void look_up_depths(const Scene *scene, int64_t l, const LampColumns *con
                 float extinction = (float)medium->sigma_t;
                 sum += volume_sun_depth(&medium->density, sun, extinction, position, depth, outside);
             }
-            if (work->group_met[g]) store_at_edges(work, e, used, sum, work->start + work->group_rows[g], work->end + work->group_rows[g]);
+            if (work->group_met[g]) store_at_edges(work, numbers, used, sum, work->start + work->group_rows[g], work->end + work->group_rows[g]);
             total += sum;
         }
-        if (!single_group) store_at_edges(work, e, used, total, work->whole_start, work->whole_end);
+        if (!single_group) store_at_edges(work, numbers, used, total, work->whole_start, work->whole_end);
     }
 }
 

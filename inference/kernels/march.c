@@ -89,6 +89,7 @@ static int64_t divide(const Scene *scene, const Rays *rays, char *memory, Work *
     TAKE(edge_depth, float, 5 * blocks)
     TAKE(edge_from, int32_t, 5 * blocks)
     TAKE(edge_to, int32_t, 5 * blocks)
+    TAKE(listed, int32_t, 5 * blocks)
     TAKE(lines, Line, volumes)
     TAKE(shifts, float, scene->flowing ? volumes * work->shift_stride : 0)
     TAKE(met, int64_t, volumes)
@@ -155,13 +156,14 @@ static void march_ray(const Scene *scene, const Rays *rays, int64_t r, Work *wor
         int64_t size = scene->groups * scene->suns * COLUMNS;
         memset(out->sample_features + out->samples * size, 0, (size_t)(count * size) * sizeof(float));
     }
+    work->lit_from = 0, work->lit_to = STEPS * work->blocks;
     for (int64_t l = 0; l < scene->suns; l++) {
         if (scene->shadow_maps) {
             const ShadowMap *map = scene->shadow_maps + l;
             SunShadow shadow = {map, line_in(map->linear, map->offset, &ray)};
             look_up_visibility(sun_visible_at, &shadow, work);
         }
-        look_up_depths(scene, l, NULL, edges, work);
+        look_up_depths(scene, l, NULL, list_lit(scene->shadow_maps != NULL, edges, work), work);
         add_single(scene, l, work, single);
         for (int64_t n = 0; n < work->active_count && features; n++) {
             int64_t g = work->active[n];

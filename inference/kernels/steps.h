@@ -82,6 +82,8 @@ typedef struct {
     double *edge_place;          /* (5 blocks), edges of steps to look up: place on the ray, depth from the camera */
     float *edge_depth;
     int32_t *edge_from, *edge_to;   /* (5 blocks), the step that begins and the step that ends there, or -1 */
+    int32_t *listed;             /* (5 blocks), numbers of edges whose optical depths are looked up, ascending */
+    int64_t lit_from, lit_to;    /* steps that the light at hand may reach; whole lanes, so that lit_to may lie behind */
     Line *lines;                 /* (volumes) */
     float *shifts;               /* (volumes, shift_stride), of lines */
     int64_t shift_stride;

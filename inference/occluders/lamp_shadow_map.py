@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which points surfaces shadow from a lamp."""
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,8 @@ from .depth_buffer import SAMPLES, DepthBuffer
 
 #: Distances along an edge of each of the six faces of the cube around a lamp.
 CELLS = 1024
+# Cells along an edge of the squares whose extremes are known; the kernel holds it, too.
+BLOCK = 16
 
 
 class LampShadowMap:
@@ -39,6 +42,17 @@ class LampShadowMap:
                 distances = distances.reshape(size, size, SAMPLES, SAMPLES).transpose(0, 2, 1, 3)
                 faces.append(distances.reshape(cells, cells))
         self.distances = np.stack(faces).astype(np.float32)
+
+    @functools.cached_property
+    def extremes(self) -> np.ndarray:
+        """Least and largest distance, float32 (6, m, m, 2), in squares of BLOCK x BLOCK cells.
+
+        The next row and column count, too: filtering from a cell of the square may read them.
+        """
+        blocks = -(-self.distances.shape[1] // BLOCK)
+        missing = blocks * BLOCK + 1 - self.distances.shape[1]
+        cells = np.pad(self.distances, [(0, 0), (0, missing), (0, missing)], mode="edge")
+        return np.stack([_in_squares(cells, blocks, extreme) for extreme in (np.minimum, np.maximum)], axis=-1)
 
     @property
     def empty(self) -> bool:
@@ -78,3 +92,10 @@ class LampShadowMap:
     def _clipped(self, cells: np.ndarray) -> np.ndarray:
         """Indices int (N,) of columns or rows, within a face."""
         return np.clip(cells, 0, self.distances.shape[1] - 1).astype(int)
+
+
+def _in_squares(cells: np.ndarray, blocks: int, extreme: np.ufunc) -> np.ndarray:
+    """Least or largest (6, m, m) of cells (6, n, n) in squares; n: m BLOCK + 1."""
+    starts = np.arange(0, blocks * BLOCK, BLOCK)
+    rows = extreme(extreme.reduceat(cells[:, :-1], starts, axis=1), cells[:, BLOCK::BLOCK])
+    return extreme(extreme.reduceat(rows[:, :, :-1], starts, axis=2), rows[:, :, BLOCK::BLOCK])

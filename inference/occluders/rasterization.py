@@ -5,10 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..kernels.library import call
 from ..runtime.cancellation import NEVER, CancelToken
 
-# Pairs of triangle and sample point tested at a time.
-PAIRS_PER_BATCH = 1 << 18
+# Pairs of triangle and sample point tested at a time, by numpy and by one call of the kernel.
+PAIRS_PER_BATCH, PAIRS_PER_CALL = 1 << 18, 1 << 22
 # Pairs from which on triangles are taken from the nearest to the farthest, and hidden ones left out.
 MANY_PAIRS = 4 * PAIRS_PER_BATCH
 
@@ -29,18 +30,45 @@ def rasterize_nearest(
     pairs = counts.sum()
     if pairs > MANY_PAIRS:
         order, pairs = order[np.argsort(-most[order], kind="stable")], PAIRS_PER_BATCH
-    largest, number = np.full(size[::-1], -np.inf), np.full(size[::-1], -1)
+    largest, number = np.full(size[::-1], -np.inf), np.full(size[::-1], -1, np.int64)
     while len(order):
         end = max(int(np.searchsorted(np.cumsum(counts[order]), pairs, side="right")), 1)
         taken, order = order[:end], order[end:]
-        for flat, found, triangle in rasterize(corners[taken], value[taken], size, cancel):
-            np.maximum.at(largest.reshape(-1), flat, found)
-            nearest = largest.reshape(-1)[flat] == found
-            number.reshape(-1)[flat[nearest]] = taken[triangle[nearest]]
+        for part in np.split(taken, np.flatnonzero(np.diff(np.cumsum(counts[taken]) // PAIRS_PER_CALL)) + 1):
+            cancel.check()
+            fill(corners[part], value[part], part, (first[part], last[part]), (largest, number))
         if len(order):
             order = order[most[order] > _least(largest, first[order], last[order])]
         pairs *= 2
     return largest, number
+
+
+def fill(
+    corners: np.ndarray,
+    value: np.ndarray,
+    numbers: np.ndarray,
+    spans: tuple[np.ndarray, np.ndarray],
+    raster: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Add triangles to a raster whose points keep the largest value, and the last triangle that has it.
+
+    corners: (T, 3, 2), value: (T, 3), as of `rasterize`. numbers: int (T,), of the triangles. spans: int (T, 2) each,
+    first and last column and row of the boxes around them, within the raster. raster: values float64 (rows, columns),
+    and numbers int64 (rows, columns), modified.
+    """
+    call(
+        "fill_raster",
+        triangles=len(corners),
+        rows=raster[0].shape[0],
+        columns=raster[0].shape[1],
+        corners=np.ascontiguousarray(corners, np.float64),
+        value=np.ascontiguousarray(value, np.float64),
+        first=np.ascontiguousarray(spans[0], np.int64),
+        last=np.ascontiguousarray(spans[1], np.int64),
+        taken=np.ascontiguousarray(numbers, np.int64),
+        largest=raster[0],
+        number=raster[1],
+    )
 
 
 def rasterize(

@@ -55,7 +55,9 @@ def describe_shadow_map(shadow_map: LampShadowMap) -> structures.Shared:
     """Distances of the surfaces around a part of a lamp."""
     return structures.LampShadowMap(
         distances=np.ascontiguousarray(shadow_map.distances, np.float32),
+        extremes=shadow_map.extremes,
         cells=shadow_map.distances.shape[1],
+        blocks=shadow_map.extremes.shape[1],
         position=shadow_map.position,
         frames=np.stack(shadow_map.frames),
     )

@@ -51,6 +51,7 @@ def light_in_cells(
     light = np.zeros((2, len(numbers)), np.float32)
     columns = [depth.described(cells.sigma, cells.forward) for _, depth, _ in emitters]
     maps = [None if one is None else describe_shadow_map(one) for _, _, one in emitters]
+    described = array_of([describe_emitter(emitter) for emitter, _, _ in emitters])
     size = max(SAMPLES_PER_CALL // (parts**3 * len(emitters)), 1)
     for start in range(0, len(numbers), size):
         cancel.check()
@@ -59,7 +60,7 @@ def light_in_cells(
             "lamp_beam",
             lamp=len(emitters),
             columns=pointers_to(columns),
-            emitters=array_of([describe_emitter(emitter) for emitter, _, _ in emitters]),
+            emitters=described,
             shadow_maps=pointers_to(maps),
             shape=np.array(cells.shape),
             first=cells.first,

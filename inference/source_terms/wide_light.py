@@ -126,7 +126,7 @@ def wide_light(
             along = np.insert(slopes, axis, 1.0, axis=1) * np.where(signs, -1.0, 1.0) / lengths[:, None]
             harmonics = weights[:, None] * spherical_harmonics(along).T
             _follow(cells, (axis, signs), (slopes, along, harmonics), peak)
-    return np.ascontiguousarray(np.moveaxis(swept, -1, 0))
+    return np.moveaxis(swept, -1, 0)
 
 
 def _held(depth: np.ndarray) -> np.ndarray:

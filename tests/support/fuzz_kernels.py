@@ -41,6 +41,7 @@ from inference.network.lamp_nearby import (
     SoftStart,
 )
 from inference.occluders.lamp_shadow_map import LampShadowMap
+from inference.occluders.rasterization import rasterize_nearest
 from inference.onnx.products import Layer
 from inference.scene.emitters import LampSource
 from inference.scene.sparse_grid import SparseGrid
@@ -382,7 +383,28 @@ def products(random: np.random.Generator) -> None:
     layer(spoiled(random, (rows, inner)), spoiled(random, (rows, columns)) if random.integers(2) else None)
 
 
-KINDS = (march, lamps, columns, transport, pyramid, resampling, gathering, opened, nearby, scattering, paths, products)
+def rasters(random: np.random.Generator) -> None:
+    """Triangles of any contents on rasters of any size."""
+    size, count = random.integers(1, 80, 2), int(random.integers(1, 50))
+    corners = spoiled(random, (count, 3, 2), np.float64) * random.choice([1.0, 50.0])
+    rasterize_nearest(corners, spoiled(random, (count, 3), np.float64), size)
+
+
+KINDS = (
+    march,
+    lamps,
+    columns,
+    transport,
+    pyramid,
+    resampling,
+    gathering,
+    opened,
+    nearby,
+    scattering,
+    paths,
+    products,
+    rasters,
+)
 
 
 def fuzz(path: str, seconds: float, seed: int) -> int:

@@ -7,6 +7,7 @@ import pytest
 import training.rpnn  # noqa: F401  Lets settings name it.
 from inference import Medium, PointLight, RenderCache, Settings, Sun, Surface, render
 from inference.occluders.cell_boundaries import CellBoundaries
+from inference.occluders.lamp_shadow_map import BLOCK, LampShadowMap
 from inference.occluders.shadow_map import ShadowMap
 from inference.transport.diffusion import couple, solve
 from tests.support.surfaces import camera, fog, rectangle
@@ -190,3 +191,16 @@ def test_suns_below_a_ground_are_skipped():
     # Without light there is only alpha.
     dark = render(pair, below, camera(), settings, surfaces=[ground])
     assert dark.alpha.max() > 0.1 and dark.rgb.max() < 1e-3 * alone.rgb.max()
+
+
+@pytest.mark.parametrize("cells", [12, 32, 40])
+def test_squares_of_a_lamps_shadow_map_hold_what_filtering_reads(cells):
+    """So that a point nearer than all of a square is lit, and one farther than all of it is not."""
+    shadow_map = LampShadowMap([rectangle(-0.7, 0.3, -0.4, 0.9, -1.0)], np.zeros(3), cells)
+    assert np.isinf(shadow_map.distances).any() and np.isfinite(shadow_map.distances).any()
+    low, high = np.moveaxis(shadow_map.extremes, -1, 0)
+    for face, row, column in np.ndindex(6, cells, cells):
+        read = shadow_map.distances[face, row : row + 2, column : column + 2]
+        square = face, row // BLOCK, column // BLOCK
+        assert low[square] <= read.min() and high[square] >= read.max()
+    assert low.min() == shadow_map.distances.min() and high.max() == shadow_map.distances.max()
