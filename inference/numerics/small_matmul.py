@@ -75,7 +75,7 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     result = np.empty((len(rows), *b.shape[1:]), np.result_type(a, b))
     np.matmul(rows[:even].reshape(-1, height, a.shape[-1]), b, out=result[:even].reshape(-1, height, *b.shape[1:]))
     np.matmul(rows[even:], b, out=result[even:])
-    return result.reshape(*a.shape[:-1], *b.shape[1:])
+    return result.reshape((*a.shape[:-1], *b.shape[1:]))
 
 
 def product_of_columns(a: np.ndarray, b: np.ndarray) -> np.ndarray:

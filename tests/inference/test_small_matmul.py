@@ -39,6 +39,8 @@ from tests.support.volumes import SUN, camera, cloud
 @pytest.mark.parametrize(
     "a, b",
     [
+        ((8,), (8,)),
+        ((8,), (8, 3)),
         ((5, 8), (8,)),
         ((3, VECTOR_WORK // 4, 8), (8,)),
         ((1025, 8), (8,)),
