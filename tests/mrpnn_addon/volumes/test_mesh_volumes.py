@@ -135,6 +135,20 @@ def test_alpha_is_that_of_cycles(addon, scene, tmp_path, seen):
     assert np.sqrt(((layer.alpha - expected) ** 2).mean()) < 0.02
 
 
+def test_coordinates_of_an_object_of_scale_0_are_named(addon, scene):
+    _, node = add_mesh(scene, cube, Density=0.6)
+    tree, flat = node.id_data, bpy.data.objects.new("Flat", None)
+    scene.collection.objects.link(flat)
+    flat.scale = (1.0, 0.0, 1.0)
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    coordinates.object = flat
+    tree.links.new(coordinates.outputs["Object"], node.inputs["Density"])
+    lit(scene)
+    bpy.context.view_layer.update()
+    with pytest.raises(SceneError, match="Texture Coordinate.*an object of scale 0"):
+        read(addon)
+
+
 def stretched(*sizes, turn=None):
     def make(shape):
         made = bmesh.ops.create_cube(shape, size=1.0)
