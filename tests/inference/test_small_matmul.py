@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Linear algebra and quadrature on the calling thread against numpy's."""
 
+import re
 import threading
 import time
 from pathlib import Path
@@ -32,6 +33,7 @@ from inference.numerics.small_matmul import (
     product_of_columns,
     solve_positive,
 )
+from tests.support.paths import ROOT
 from tests.support.volumes import SUN, camera, cloud
 
 
@@ -171,6 +173,17 @@ def test_predictions_at_points_do_not_wake_the_threads_of_blas(light):
 @pytest.mark.slow
 def test_large_renders_do_not_wake_the_threads_of_blas():
     check_threads_of_blas([*LIGHTS["sun and sky"], *LIGHTS["point light inside"]], False, (480, 480))
+
+
+def test_what_is_shipped_calls_no_function_that_wakes_them_for_small_matrices():
+    """OpenBLAS shares even the inverse of a (3, 3) matrix."""
+    shipped = [
+        path
+        for name in ("inference", "evaluation", "mrpnn_addon", "operators", "panels")
+        for path in (ROOT / name).rglob("*.py")
+    ]
+    assert len(shipped) > 100
+    assert not [path for path in shipped if re.search(r"linalg\.(inv|pinv|lstsq)\b|tensordot", path.read_text())]
 
 
 def check_threads_of_blas(lights, ground, resolution):
