@@ -194,8 +194,7 @@ def _sunlit_share(media: Sequence[BoundMedium], sun: int, shadow_map: ShadowMap 
         light *= np.prod(np.ptp(bound.grid.corners(), axis=0))
         points = product(index.T - bound.offset, inverse(bound.linear).T)
         taken += light.sum()
-        seen = product(points, shadow_map.linear.T) + shadow_map.offset
-        lit += (light * shadow_map.visibility(seen.T.astype(np.float32))).sum()
+        lit += (light * shadow_map.visibility_at(points)).sum()
     return lit / taken
 
 
@@ -402,9 +401,7 @@ def sun_visibility(
         shadow_map = ShadowMap(blocking, direction, np.concatenate([box, corners]), cancel)
         cell = 1.0 / np.linalg.norm(shadow_map.linear[0])
         lifted = points + CLEARANCE * cell * seen.normals[near]
-        visible[near] = shadow_map.visibility(
-            (product(lifted, shadow_map.linear.T) + shadow_map.offset).T.astype(np.float32)
-        )
+        visible[near] = shadow_map.visibility_at(lifted)
     return visible
 
 

@@ -114,6 +114,10 @@ class ShadowMap:
             lit[some] = self.visibility(at.reshape(3, -1)).reshape(len(some), parts**3).mean(axis=1)
         return visibility.reshape(count, count, count)
 
+    def visibility_at(self, positions: np.ndarray) -> np.ndarray:
+        """Visibility of the sun, as of `visibility`, at world positions (N, 3)."""
+        return self.visibility((product(positions, self.linear.T) + self.offset).T.astype(np.float32))
+
     def visibility(self, index: np.ndarray) -> np.ndarray:
         """Visibility of the sun (N,) from 0 to 1 at indices float32 (3, N), by percentage-closer filtering.
 

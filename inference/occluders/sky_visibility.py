@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..numerics.quadrature import even_directions
-from ..numerics.small_matmul import product
 from ..runtime.cancellation import NEVER, CancelToken
 from .shadow_map import ShadowMap
 
@@ -39,9 +38,7 @@ class SkyVisibility:
         """Visibility float32 (N, K) in each direction from world positions (N, 3)."""
         visible = np.empty((len(self._maps), len(positions)), np.float32)
         for row, shadow_map in zip(visible, self._maps):
-            row[:] = shadow_map.visibility(
-                (product(positions, shadow_map.linear.T) + shadow_map.offset).T.astype(np.float32)
-            )
+            row[:] = shadow_map.visibility_at(positions)
         return visible.T
 
     def __call__(self, positions: np.ndarray) -> np.ndarray:
