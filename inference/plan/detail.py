@@ -20,6 +20,9 @@ from .resolution import TRANSPORT_CELLS, refinement
 LARGER_CELLS = (1.25, 0.6), (0.5, 0.3)
 #: The same where albedos vary, which larger cells mix.
 LARGER_COLOURED_CELLS = ((0.25, 0.3),)
+#: Largest edge in pixels of cells of usual size below which light that varies slowly is told once per ray in a scene of
+#: several groups; where cells are larger it is told once per square of as many times as many pixels.
+SLOW_CELLS = 2.0
 #: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
 LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 0.4), 2
 # Volumes with their media.
@@ -49,14 +52,10 @@ def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settin
     """
     if lamps or "level_of_detail" not in settings.optimizations or not abilities(settings.model).every_light:
         return [0] * len(groups)
-    volumes = [volume for members in groups for volume, _ in members]
-    if not volumes:
+    if not groups:
         return []
-    boxes, starts = box_corners(volumes), np.cumsum([0, *map(len, groups)])[:-1]
-    low, high = np.minimum.reduceat(boxes.min(axis=1), starts), np.maximum.reduceat(boxes.max(axis=1), starts)
-    alone = np.array([len(members) == 1 for members in groups])
-    cells = np.where(alone, _edges(volumes).max(axis=1)[starts], (high - low).max(axis=1)) / TRANSPORT_CELLS
-    pixels = smallest_pixels(camera, settings, np.stack([low, high], axis=1))
+    starts = np.cumsum([0, *map(len, groups)])[:-1]
+    cells, pixels = _cells(groups, camera, settings)
     filled = [medium.sigma_t.max() * volume.filled for members in groups for volume, medium in members]
     depths = cells * np.add.reduceat(filled, starts)
     varies = np.array([any(volume.scattering is not None for volume, _ in members) for members in groups])
@@ -67,6 +66,28 @@ def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settin
             small = (cells * 2**n <= limits[0]) & (depths * 2**n <= limits[1])
             octaves += small & groups_of_kind
     return octaves.tolist()
+
+
+def slow_squares(groups: Sequence[Members], coarser: Sequence[int], camera: Camera, settings: Settings) -> list[int]:
+    """Edges (G,) in pixels of squares in which light that varies slowly is told once, 1 for once per ray; 0 for each
+    depth sample.
+
+    coarser: of `coarser_light`.
+    """
+    if len(groups) < 2 or "level_of_detail" not in settings.optimizations:
+        return [int(octaves > 0) for octaves in coarser]
+    cells, pixels = _cells(groups, camera, settings)
+    return (2 ** np.array(coarser) * (cells <= SLOW_CELLS * pixels)).tolist()
+
+
+def _cells(groups: Sequence[Members], camera: Camera, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """Edges (G,) of cells of the coarse transport of usual size, and of the smallest pixels, in world units."""
+    volumes, starts = [volume for members in groups for volume, _ in members], np.cumsum([0, *map(len, groups)])[:-1]
+    boxes = box_corners(volumes)
+    low, high = np.minimum.reduceat(boxes.min(axis=1), starts), np.maximum.reduceat(boxes.max(axis=1), starts)
+    alone = np.array([len(members) == 1 for members in groups])
+    edges = np.where(alone, _edges(volumes).max(axis=1)[starts], (high - low).max(axis=1))
+    return edges / TRANSPORT_CELLS, smallest_pixels(camera, settings, np.stack([low, high], axis=1))
 
 
 def coarser_shadows(volumes: Members, camera: Camera, settings: Settings) -> list[int]:
