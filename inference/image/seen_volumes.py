@@ -136,15 +136,13 @@ class SeenVolumes:
         found = seen.copy()
         for low, high in self._lit:
             first, last = low[seen], high[seen]
-            if len(first) > MOST_PAIRED:
-                # What surrounds all of them.
-                first, last = first.min(axis=0, keepdims=True), last.max(axis=0, keepdims=True)
-            for begin, end in zip(first, last):
-                found |= (
-                    (low[:, :2] <= end[:2]).all(axis=1)
-                    & (begin[:2] <= high[:, :2]).all(axis=1)
-                    & (high[:, 2] >= begin[2])
-                )
+            if not len(first):
+                break
+            # First those around all of them.
+            some = np.flatnonzero(_shadows(low, high, first.min(axis=0), last.max(axis=0)))
+            if len(first) <= MOST_PAIRED:
+                some = some[_shadows(low[some, None], high[some, None], first, last).any(axis=1)]
+            found[some] = True
         return np.flatnonzero(found)
 
     def cut(self, window: Window) -> list[Window]:
@@ -154,3 +152,9 @@ class SeenVolumes:
         if bands <= 1 or np.count_nonzero(self._shown(window)) <= MOST_VOLUMES:
             return [window]
         return [part for smaller in make_tiles(window, -(-bands // 2)) for part in self.cut(smaller)]
+
+
+def _shadows(low: np.ndarray, high: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Whether boxes, as of `SeenVolumes`, lie between others and a sun; arrays (..., 3), of ends of both."""
+    across = (low[..., :2] <= last[..., :2]) & (first[..., :2] <= high[..., :2])
+    return across.all(axis=-1) & (high[..., 2] >= first[..., 2])

@@ -67,6 +67,21 @@ def array_of(values: list) -> ctypes.Array | None:
     return array
 
 
+def instances_of(values: list, numbers: Sequence[int], **fields: np.ndarray) -> ctypes.Array | None:
+    """As `array_of`, of copies of some structures, by number, with float64 fields (N, ...) of their own."""
+    rows = rows_of(array_of(values), numbers)
+    if rows is None:
+        return None
+    kind = type(values[0])
+    for name, own in fields.items():
+        held = np.ascontiguousarray(own, np.float64).reshape(len(rows), -1).view(np.uint8)
+        start = getattr(kind, name).offset
+        rows[:, start : start + held.shape[1]] = held
+    array = (kind * len(rows)).from_buffer_copy(rows)
+    array.referenced = values
+    return array
+
+
 def rows_of(array: Any, numbers: Sequence[int]) -> np.ndarray | None:
     """Copies of some structures of an `array_of`, by number, which must outlive them; None for None."""
     if array is None:

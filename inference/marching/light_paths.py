@@ -113,7 +113,7 @@ class PathTracer:
         self.majorants = [known[id(m.grid.occupancy), alike(m.voxel_thickness)] for m in media.media]
         described = {id(majorants): majorants.describe() for majorants in known.values()}
         self._described = (
-            structures.array_of(describe_media(media.media, (), media.channels, False)),
+            describe_media(media.media, (), media.channels, False),
             structures.array_of([described[id(majorants)] for majorants in self.majorants]),
         )
         self._boxes, self._contents = box_tree(np.array([medium.grid.corners() for medium in media.media]))

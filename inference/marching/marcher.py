@@ -6,6 +6,7 @@ exact (`kernels/march.c`).
 """
 
 import copy
+import ctypes
 import functools
 import threading
 from collections.abc import Callable, Hashable, Sequence
@@ -253,18 +254,18 @@ class Marcher:
             flowing=any(medium.flows for medium in self._media),
             varying=self._varying,
             scattering=len(options.scattering),
-            media=structures.array_of(describe_media(self._media, channels, options.scattering, lamps is not None)),
+            media=describe_media(self._media, channels, options.scattering, lamps is not None),
             spheres=None if suns is None else np.array([medium.sphere for medium in self._media]).reshape(-1, 4),
             sun_directions=None if suns is None else np.ascontiguousarray(suns, np.float64),
             group_starts=starts,
             group_members=members,
             shadow_maps=structures.array_of([_shadow_map(shadow_map) for shadow_map in options.shadow_maps or []]),
-            fluence=None if options.fluence is None else structures.array_of(_fluences(options.fluence)),
+            fluence=None if options.fluence is None else _fluences(options.fluence),
             lamps=0 if lamps is None else len(lamps.lamps),
             lamp_list=structures.array_of(
                 [_lamp(lamp, self._media, lamps.mean(k)) for k, lamp in enumerate(lamps.lamps)] if lamps else []
             ),
-            lamp_fluence=structures.array_of(_fluences(lamps.fluence or []) if lamps else []),
+            lamp_fluence=_fluences((lamps and lamps.fluence) or []),
             lamp_radius=lamps.radius if lamps else 0.0,
             brief=BRIEF,
             wide=WIDE,
@@ -337,8 +338,8 @@ def _phase_table(medium: Medium) -> np.ndarray:
 
 def describe_media(
     media: Sequence[BoundMedium], channels: Sequence[int], scattering: Sequence[int], lamps: bool
-) -> list[structures.Shared]:
-    """Media, with their emission in `channels` and their scattering in `scattering`, colour channels by number.
+) -> ctypes.Array | None:
+    """An array of media, with their emission in `channels` and their scattering in `scattering`, colour channels by number.
 
     lamps: whether their phase functions are tabulated, for the light of lamps.
     """
@@ -351,7 +352,25 @@ def describe_media(
             known[key] = describe(what, *more)
         return known[key]
 
-    return [_describe_medium(medium, channels, scattering, lamps, once) for medium in media]
+    # Instances differ in where they lie alone.
+    kinds: dict[Hashable, tuple[int, structures.Shared]] = {}
+    numbers = []
+    for medium in media:
+        grid, of = medium.grid, medium.medium
+        key: Hashable = (
+            (id(grid.voxels), grid.emission_power, medium.sigma_t, of.emission, id(of), *map(id, medium.sun_depths))
+            if medium.motion is None
+            else id(medium)
+        )
+        if key not in kinds:
+            kinds[key] = len(kinds), _describe_medium(medium, channels, scattering, lamps, once)
+        numbers.append(kinds[key][0])
+    return structures.instances_of(
+        [described for _, described in kinds.values()],
+        numbers,
+        linear=np.array([medium.grid.linear for medium in media]),
+        offset=np.array([medium.grid.offset for medium in media]),
+    )
 
 
 def _describe_medium(
@@ -401,16 +420,29 @@ def _shadow_map(shadow_map: ShadowMap) -> structures.Shared:
     )
 
 
-def _fluences(fluences: Sequence[ScatteredFluence | None]) -> list[structures.Shared]:
-    # Instances share lights.
-    lights = {id(light): light for one in fluences if one for light in one.lights}
-    single = {key: np.ascontiguousarray(light, np.float32) for key, light in lights.items()}
-    return [_fluence(one, [single[id(light)] for light in one.lights] if one else []) for one in fluences]
+def _fluences(fluences: Sequence[ScatteredFluence | None]) -> ctypes.Array | None:
+    """An array of them; instances share lights."""
+    kinds: dict[Hashable, tuple[int, structures.Shared]] = {}
+    numbers = []
+    for one in fluences:
+        key = one and (*map(id, one.lights), *(one.scales or ()), one.anisotropy)
+        if key not in kinds:
+            kinds[key] = len(kinds), _fluence(one)
+        numbers.append(kinds[key][0])
+    none = ScatteredFluence(np.zeros((3, 3)), np.zeros(3), [], 0.0)
+    return structures.instances_of(
+        [described for _, described in kinds.values()],
+        numbers,
+        linear=np.array([(one or none).linear for one in fluences]),
+        offset=np.array([(one or none).offset for one in fluences]),
+        flux_from_world=np.array([one.flux_from_world() if one else np.zeros((3, 3)) for one in fluences]),
+    )
 
 
-def _fluence(fluence: ScatteredFluence | None, lights: Sequence[np.ndarray]) -> structures.Shared:
+def _fluence(fluence: ScatteredFluence | None) -> structures.Shared:
     if fluence is None:
         return structures.Fluence(reduced_fraction=1.0)
+    lights = [np.ascontiguousarray(light, np.float32) for light in fluence.lights]
     cells = len(lights[0]) if lights else 0
     assert all(light.shape == (cells, cells, cells, 4) for light in lights)
     pointers = (c_void_p * len(lights))(*(light.ctypes.data for light in lights))
@@ -418,9 +450,6 @@ def _fluence(fluence: ScatteredFluence | None, lights: Sequence[np.ndarray]) -> 
         lights=pointers,
         scales=None if fluence.scales is None else np.array(fluence.scales, np.float64),
         cells=cells,
-        linear=fluence.linear,
-        offset=fluence.offset,
-        flux_from_world=fluence.flux_from_world(),
         reduced_fraction=fluence.reduced_fraction,
     )
     described.referenced += lights
