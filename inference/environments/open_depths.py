@@ -33,7 +33,10 @@ def direction_depths(coarse: np.ndarray, cancel: CancelToken = NEVER) -> np.ndar
     depths = np.empty((len(DIRECTIONS), n + 2, n + 2, n + 2), np.float32)
     for depth, towards in zip(depths, DIRECTIONS):
         cancel.check()
-        depth[...] = np.pad(sun_optical_depth(coarse, towards, 1.0 / n), 1, mode="edge")
+        sun_optical_depth(coarse, towards, 1.0 / n, depth[1:-1, 1:-1, 1:-1])
+        for axis in range(3):
+            ends = np.moveaxis(depth, axis, 0)
+            ends[0], ends[-1] = ends[1], ends[-2]
     return depths
 
 

@@ -38,15 +38,17 @@ def cubic(f: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def sun_optical_depth(density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0) -> np.ndarray:
+def sun_optical_depth(
+    density: np.ndarray, index_direction: np.ndarray, step_length: float = 1.0, out: np.ndarray | None = None
+) -> np.ndarray:
     """Optical depth from each cell centre towards the sun, for extinction = density.
 
     density: float32 (nx, ny, nz), 0 outside. index_direction: (3,) towards the sun in index units, d(index)/d(length).
-    step_length: factor of that length; 1 for a direction that maps world units to indices. Returns float32 (nx, ny,
-    nz).
+    step_length: factor of that length; 1 for a direction that maps world units to indices. out: what is filled, float32
+    (nx, ny, nz), or None. Returns it.
     """
     main = int(np.abs(index_direction).argmax())
-    depth = np.empty_like(density, dtype=np.float32)
+    depth = np.empty_like(density, dtype=np.float32) if out is None else out
     sweep(density, index_direction, step_length, linear, np.moveaxis(depth, main, 0))
     return depth
 
