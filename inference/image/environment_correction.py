@@ -213,8 +213,7 @@ def _predicted(
         some = np.flatnonzero(wanted & (samples.share(source.members) > 0.0))
         if not len(some):
             continue
-        # Squares are of pixels of the picture.
-        estimate = TileEstimate(context, samples, tile, replace(source, square=min(source.square, 1)))
+        estimate = TileEstimate(context, samples, tile, source)
         estimate.evaluate(some)
         for row, radiance in zip(source.rows, estimate.radiance):
             for c in row.channels:

@@ -63,8 +63,8 @@ class Source:
     its light. varies: whether the albedo of any of the volumes does, or they differ. voxel: shortest edge of the
     group's voxels. lights: how many suns and lamps share the single scattering that tells where its light varies; 0
     where that does not tell. needs_detail: whether its light varies along rays more than nodes of the depth samples
-    tell. masked: whether the light of earlier sources hides its errors. square: edge in pixels of squares in which it
-    is told once in a group, 1 for once per ray; 0: at each depth sample.
+    tell. masked: whether the light of earlier sources hides its errors. once_per_ray: whether it is told once for
+    all depth samples of a ray in a group.
     """
 
     groups: Sequence[int]
@@ -77,7 +77,7 @@ class Source:
     lights: float = 0
     needs_detail: bool = False
     masked: bool = False
-    square: int = 0
+    once_per_ray: bool = False
 
     @cached_property
     def albedos(self) -> np.ndarray:
@@ -272,7 +272,9 @@ class AskedGroup:
             voxel=min(self.scene.grids[v].voxel for v in members),
             lights=lights,
             needs_detail=needs_detail,
-            square=min(self.scene.plan.slow_squares[g] for g in groups) if estimator.varies_slowly and not varies else 0,
+            once_per_ray=estimator.varies_slowly
+            and not varies
+            and all(self.scene.plan.once_per_ray[g] for g in groups),
         )
 
     def _frames(self) -> np.ndarray:

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The light of one source in one tile, as it is predicted at depth samples."""
 
-import functools
-
 import numpy as np
 
 from ..marching.depth_samples import DepthSamples
 from ..network.estimators import LitPoints
 from ..network.predictor import POINTS_PER_TASK
-from ..plan.resolution import BAND
 from ..scene.camera_rays import pixel_size, places_in_image
 from .adaptive_interpolation import DISTANCE_VOXELS, Guide
 from .context import RenderContext, Tile
@@ -83,34 +80,19 @@ class TileEstimate:
             add_at(self.error, *self.samples.standard_error(parts, points))
 
     def _batches(self, points: np.ndarray) -> list[np.ndarray]:
-        """Some samples in batches of about one network call each, of whole squares where these are asked once."""
-        if not self.source.square:
+        """Some samples in batches of about one network call each, of whole rays where these are asked once."""
+        if not self.source.once_per_ray:
             return [points[i : i + POINTS_PER_TASK] for i in range(0, len(points), POINTS_PER_TASK)]
-        if not len(points):
-            return []
-        squares = self._squares[points]
-        order = np.argsort(squares, kind="stable")
-        starts = np.flatnonzero(np.diff(squares[order], prepend=-1))
-        return [np.sort(points[part]) for part in np.split(order, starts[POINTS_PER_TASK::POINTS_PER_TASK])]
-
-    @functools.cached_property
-    def _squares(self) -> np.ndarray:
-        """Numbers int64 (M,) of the square that each sample is in, within a band; of its ray where pixels have several
-        or squares are of one pixel."""
-        edge, (x0, y0, x1, _) = self.source.square, self.camera.window
-        if edge == 1 or self.blurred:
-            return self.samples.sampled.astype(np.int64)
-        rows, columns = np.divmod(self.pixel.astype(np.int64), x1 - x0)
-        down, across = (at // BAND * BAND + at % BAND // edge for at in (rows + y0, columns + x0))
-        return down * (x1 + BAND) + across
+        starts = np.flatnonzero(np.diff(self.samples.sampled[points], prepend=-1))
+        return np.split(points, starts[POINTS_PER_TASK::POINTS_PER_TASK]) if len(points) else []
 
     def _asked_together(self, points: np.ndarray, turn: np.ndarray | None) -> tuple[LitPoints, np.ndarray | slice]:
         """Some samples as an estimator is asked at them, and of which answer each takes its light."""
         asked = self._asked(points, turn)
-        if not self.source.square:
+        if not self.source.once_per_ray:
             return asked, slice(None)
-        square = self._squares[points]
-        own = square if turn is None else square * len(self.source.groups) + turn[points]
+        ray = self.samples.sampled[points].astype(np.int64)
+        own = ray if turn is None else ray * len(self.source.groups) + turn[points]
         of = np.unique(own, return_inverse=True)[1]
         return asked.joined(of, self.samples.weight[points] * self.share[points]), of
 

@@ -339,7 +339,8 @@ def _phase_table(medium: Medium) -> np.ndarray:
 def describe_media(
     media: Sequence[BoundMedium], channels: Sequence[int], scattering: Sequence[int], lamps: bool
 ) -> ctypes.Array | None:
-    """An array of media, with their emission in `channels` and their scattering in `scattering`, colour channels by number.
+    """An array of media, with their emission in `channels` and their scattering in `scattering`, colour channels by
+    number.
 
     lamps: whether their phase functions are tabulated, for the light of lamps.
     """
@@ -358,7 +359,14 @@ def describe_media(
     for medium in media:
         grid, of = medium.grid, medium.medium
         key: Hashable = (
-            (id(grid.voxels), grid.emission_power, medium.sigma_t, of.emission, id(of), *map(id, medium.sun_depths))
+            (
+                id(grid.voxels),
+                grid.emission_power,
+                medium.sigma_t,
+                of.emission,
+                lamps and id(of),
+                *map(id, medium.sun_depths),
+            )
             if medium.motion is None
             else id(medium)
         )
@@ -429,13 +437,14 @@ def _fluences(fluences: Sequence[ScatteredFluence | None]) -> ctypes.Array | Non
         if key not in kinds:
             kinds[key] = len(kinds), _fluence(one)
         numbers.append(kinds[key][0])
-    none = ScatteredFluence(np.zeros((3, 3)), np.zeros(3), [], 0.0)
+    nowhere = np.zeros((3, 3)), np.zeros(3)
+    placed = [(one.linear, one.offset) if one else nowhere for one in fluences]
     return structures.instances_of(
         [described for _, described in kinds.values()],
         numbers,
-        linear=np.array([(one or none).linear for one in fluences]),
-        offset=np.array([(one or none).offset for one in fluences]),
-        flux_from_world=np.array([one.flux_from_world() if one else np.zeros((3, 3)) for one in fluences]),
+        linear=np.array([linear for linear, _ in placed]),
+        offset=np.array([offset for _, offset in placed]),
+        flux_from_world=np.array([one.flux_from_world() if one else nowhere[0] for one in fluences]),
     )
 
 

@@ -58,7 +58,7 @@ class LitPoints:
     def joined(self, numbers: np.ndarray, weights: np.ndarray) -> "LitPoints":
         """Means over the points that have a number in common, int (N,) from 0 on, by weights (N,).
 
-        All of these are on one ray or on neighbouring ones, in one group of volumes. What rays gathered of suns and lamps is left out.
+        All of these are on one ray, in one group of volumes. What rays gathered of suns and lamps is left out.
         """
         first = np.unique(numbers, return_index=True)[1]
         total = np.bincount(numbers, weights)
@@ -113,8 +113,7 @@ class Estimator(Protocol):
 
     @property
     def varies_slowly(self) -> bool:
-        """Whether the mean point of several near each other, on one ray or neighbouring ones, tells the mean of their
-        light."""
+        """Whether the mean point of several on a ray tells the mean of their light, where these are close together."""
 
     @property
     def uncertainty(self) -> UncertaintyNetwork | None:

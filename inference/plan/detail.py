@@ -20,8 +20,8 @@ from .resolution import TRANSPORT_CELLS, refinement
 LARGER_CELLS = (1.25, 0.6), (0.5, 0.3)
 #: The same where albedos vary, which larger cells mix.
 LARGER_COLOURED_CELLS = ((0.25, 0.3),)
-#: Largest edge in pixels of cells of usual size below which light that varies slowly is told once per ray in a scene of
-#: several groups; where cells are larger it is told once per square of as many times as many pixels.
+#: Largest edge in pixels of cells of the usual size, in scenes of several groups, up to which light that varies slowly
+#: is told once per ray. A group alone takes little time where its cells are so small.
 SLOW_CELLS = 2.0
 #: The same of larger voxels of shadows, which blur the surfaces of dense media; and octaves by which they are larger.
 LARGER_VOXELS, MOST_COARSER_VOXELS = (0.5, 0.4), 2
@@ -68,16 +68,15 @@ def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settin
     return octaves.tolist()
 
 
-def slow_squares(groups: Sequence[Members], coarser: Sequence[int], camera: Camera, settings: Settings) -> list[int]:
-    """Edges (G,) in pixels of squares in which light that varies slowly is told once, 1 for once per ray; 0 for each
-    depth sample.
+def once_per_ray(groups: Sequence[Members], coarser: Sequence[int], camera: Camera, settings: Settings) -> list[bool]:
+    """Whether light that varies slowly is told once per ray in each group, instead of at each depth sample.
 
     coarser: of `coarser_light`.
     """
     if len(groups) < 2 or "level_of_detail" not in settings.optimizations:
-        return [int(octaves > 0) for octaves in coarser]
+        return [octaves > 0 for octaves in coarser]
     cells, pixels = _cells(groups, camera, settings)
-    return (2 ** np.array(coarser) * (cells <= SLOW_CELLS * pixels)).tolist()
+    return (cells <= settings.tolerance * SLOW_CELLS * pixels).tolist()
 
 
 def _cells(groups: Sequence[Members], camera: Camera, settings: Settings) -> tuple[np.ndarray, np.ndarray]:

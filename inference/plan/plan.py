@@ -20,7 +20,7 @@ from ..scene.mesh_light import MeshLight
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .coarser import fitting_volumes
-from .detail import box_corners, coarser_light, coarser_shadows, slow_squares
+from .detail import box_corners, coarser_light, coarser_shadows, once_per_ray
 from .joined_lamps import joined_lamps
 from .lights import (
     PredictedSun,
@@ -100,10 +100,10 @@ class Plan(SceneLights):
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. channels: groups of colour
     channels. groups: G groups of volumes, by number, each of which the network treats as one medium. multiple: (G,),
     whether a network predicts in a group. scattered_emission: (G,), whether a group scatters light that it emits.
-    coarser: (G,), octaves by which cells of a group's coarse transport are larger than usual. slow_squares: (G,), of
-    the function of that name. coarser_shadows: (V,), octaves by which voxels of a volume's shadows are larger than its
-    grid's. optimizations: names of those in use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles:
-    windows (x0, y0, x1, y1) of the image, each of which one thread renders.
+    coarser: (G,), octaves by which cells of a group's coarse transport are larger than usual. once_per_ray:
+    (G,), of the function of that name. coarser_shadows: (V,), octaves by which voxels of a volume's shadows are larger
+    than its grid's. optimizations: names of those in use, as in Settings. memory: estimated peak in bytes, on top of
+    the input. tiles: windows (x0, y0, x1, y1) of the image, each of which one thread renders.
     """
 
     volumes: list[tuple[Volume, Medium]]
@@ -112,7 +112,7 @@ class Plan(SceneLights):
     multiple: list[bool]
     scattered_emission: list[bool]
     coarser: list[int]
-    slow_squares: list[int]
+    once_per_ray: list[bool]
     coarser_shadows: list[int]
     optimizations: frozenset[str]
     memory: int
@@ -416,7 +416,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         multiple=multiple,
         scattered_emission=scattered_emission,
         coarser=coarser,
-        slow_squares=slow_squares(scene.members, coarser, camera, settings),
+        once_per_ray=once_per_ray(scene.members, coarser, camera, settings),
         coarser_shadows=coarser_shadows(scene.volumes, camera, settings),
         optimizations=settings.optimizations,
         memory=memory,

@@ -71,7 +71,9 @@ OPTIMIZATIONS = {
     ),
     "joined_volumes": Optimization("Join Overlapping Volumes", "Camera rays see one volume where many overlap", 0.03),
     "level_of_detail": Optimization(
-        "Level of Detail", "The light of volumes that cover few pixels is computed on larger cells", 5e-3
+        "Level of Detail",
+        "The light of volumes that cover few pixels is computed on larger cells, and less often",
+        5e-3,
     ),
 }
 ALL = frozenset(OPTIMIZATIONS)

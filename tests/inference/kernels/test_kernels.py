@@ -73,6 +73,18 @@ def test_structures_lie_in_memory_as_the_compiler_lays_them_out(tmp_path):
     assert run.returncode == 0, run.stderr[-5000:]
 
 
+def test_instances_differ_from_what_they_are_copies_of_where_told():
+    """As if each had been made by itself."""
+    heights, rng = np.zeros((2, 3), np.float32), np.random.default_rng(0)
+    linear, offset = rng.random((3, 3, 3)), rng.random((3, 3))
+    kinds = [structures.ShadowMap(heights=heights, rows=rows, columns=3) for rows in (1, 2)]
+    found = structures.instances_of(kinds, [1, 0, 1], linear=linear, offset=offset)
+    for n, rows in enumerate((2, 1, 2)):
+        own = structures.ShadowMap(heights=heights, rows=rows, columns=3, linear=linear[n], offset=offset[n])
+        assert bytes(found[n]) == bytes(own)
+    assert structures.instances_of([], []) is None
+
+
 def test_structures_take_numpy_booleans():
     """Without the warning of numpy versions that will refuse them."""
     with warnings.catch_warnings():

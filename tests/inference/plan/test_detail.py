@@ -13,7 +13,7 @@ from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
 from inference.network.network import load_network
 from inference.numerics.interpolation import halved_means
-from inference.plan.detail import LARGER_CELLS, coarser_light, coarser_shadows
+from inference.plan.detail import LARGER_CELLS, coarser_light, coarser_shadows, once_per_ray
 from inference.plan.plan import make_plan
 from inference.runtime.tasks import SERIAL
 from inference.scene.sparse_grid import SparseGrid
@@ -122,6 +122,30 @@ def test_an_even_world_is_asked_once_on_each_ray_of_a_small_volume(even):
     few, many = (layer.report.counts["network points"] for layer in (found, expected))
     assert few <= found.report.counts["rays that meet density"] * 2 and few < 0.7 * many if even else few == many
     assert change(found, expected) < 5e-3
+
+
+def test_an_even_world_is_asked_once_on_each_ray_of_several_volumes_that_are_not_near():
+    pairs = [[(CLOUD, MEDIUM)], [(volume_at(0.5, 0.0), Medium(1e5))]]
+    views = [camera(distance, resolution=(200, 120)) for distance in np.geomspace(0.1, 1e3, 60)]
+    found = [once_per_ray(pairs, [0, 0], view, SETTINGS) for view in views]
+    assert found == sorted(found) and found[0] == [False, False] and found[-1] == [True, True]
+    # Before cells become larger, and however dense media are.
+    coarser = [coarser_light(pairs[:1], False, view, SETTINGS)[0] for view in views]
+    assert found[coarser.index(1) - 1] == [True, True]
+    # A single volume is asked so only where its cells are larger.
+    assert once_per_ray(pairs[:1], [0], views[-1], SETTINGS) == [False]
+    assert once_per_ray(pairs[:1], [1], views[-1], SETTINGS) == [True]
+    assert once_per_ray(pairs, [0, 0], views[-1], WHOLE) == [False, False]
+
+
+@pytest.mark.parametrize("sigma_t", [3.0, 400.0])
+def test_a_sky_of_small_clouds_hardly_changes(sigma_t):
+    pairs = [(volume_at(1.3 * n - 5.2, 0.0), Medium(sigma_t, 0.99, 0.5)) for n in range(9)]
+    view = camera(30.0, resolution=(160, 60))
+    found, expected = (render(pairs, LIGHTS, view, settings) for settings in (SETTINGS, WHOLE))
+    few, many = (layer.report.counts["network points"] for layer in (found, expected))
+    assert few < 0.8 * many
+    assert 0.0 < change(found, expected) < 5e-3
 
 
 def volume_at(place, angle):
