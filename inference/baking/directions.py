@@ -23,7 +23,7 @@ from .lattice import DIRECTIONS, BakeLattice, Visibility, block_means
 # Points along the longest edge of a volume, at most: of the smooth coefficients, and of those about the baked view.
 NODES, FINE_NODES = 48, 112
 # Predictions for each direction: of the smooth coefficients, of an anchor.
-SMOOTH_PREDICTIONS, PREDICTIONS = 1000, 4000
+SMOOTH_PREDICTIONS, PREDICTIONS = 600, 3000
 # Points times directions of each kind, beyond which points are farther apart.
 MAX_POINTS = 1_000_000
 # Share of the points with light that count where rays go along one direction, for the progress.
@@ -42,7 +42,7 @@ MIN_TRANSMITTANCE, MIN_RADIANCE = 0.02, 0.01
 # anisotropy from which on a lobe is.
 LOBE_RINGS, NARROW = ((0.0, 1), (22.0, 4), (45.0, 7)), 0.4
 # How much a node can count in a picture, as a share of the most, below which it takes the coefficients of others.
-MIN_IMPORTANCE = 0.03
+MIN_IMPORTANCE = 0.015
 # Stiffness of the fit against large coefficients.
 RIDGE = 1e-3
 NODES_PER_BATCH = 4096
@@ -286,9 +286,11 @@ class DirectionFit:
         """As `_seen`, and the stride of the nodes: at most so many along the longest edge, and MAX_POINTS in all."""
         stride = self._stride(most)
         while True:
-            nodes, seen = self._seen(self._nodes(stride), directions)
-            if seen.size <= MAX_POINTS:
-                return nodes, seen, stride
+            every = self._nodes(stride)
+            if IMPORTANT_SHARE * len(every.places) * len(directions) <= MAX_POINTS:
+                nodes, seen = self._seen(every, directions)
+                if seen.size <= MAX_POINTS:
+                    return nodes, seen, stride
             stride += 1
 
     def _seen(self, nodes: _Nodes, directions: np.ndarray) -> tuple[_Nodes, np.ndarray]:

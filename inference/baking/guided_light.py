@@ -3,8 +3,8 @@
 
 Guides tell roughly what the light is at every point before it is predicted: what arrives unscattered, what arrives from
 ahead (`light_ahead`), and the light along other directions. The light is predicted at some of the points, and a sum of
-the guides is fitted to it. The ratio of the light to this sum varies little from point to point. It is interpolated,
-and the guides tell the rest: a ratio estimator, whose control variate is the sum of the guides.
+the guides is fitted to it. The ratio of the light to this sum varies little from point to point. It is interpolated
+(`kriging`), and the guides tell the rest: a ratio estimator, whose control variate is the sum of the guides.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ import numpy as np
 from ..numerics.quadrature import PLASTIC
 from ..numerics.small_matmul import inverse, product
 from .directional_factor import BakedView
+from .kriging import krige
 from .lattice import BakeLattice, block_means
 from .light_ahead import light_ahead
 
@@ -22,12 +23,14 @@ from .light_ahead import light_ahead
 AMBIENT = 0.02
 # Powers of the light that arrives unscattered, which falls faster than that which has scattered.
 DIFFUSE = (0.33, 0.1)
+# Share with which means of a wider neighbourhood count beside a narrower one that holds values.
+HARDLY = np.float32(1e-6)
 # Steps of the fit of guides.
 FIT_STEPS = 60
 # Directions in which light is known already that guide predictions along the next.
 NEAR = 3
-# Predictions in a point's neighbourhood that count as much as those of one that is twice as wide.
-SPARSE = 0.2
+# Least ratio of light to what guides tell, over its mean.
+LEAST_RATIO = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,36 +82,25 @@ class PointGrid:
             for count, size in zip(other.shape, self.shape)
         )
 
-    def averaged(
-        self, places: np.ndarray, values: Sequence[np.ndarray], most: float, base: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Means (K, nx, ny, nz) at all points of values, K of (N,), at places, or their ratios to those of base (N,).
+    def spread(self, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values (N, K) of points int (N, 3) on the whole grid, (nx, ny, nz, K): others take means of those near by.
 
-        Neighbourhoods of 2^3 points are doubled until they hold values; those with few are blended with wider ones,
-        which count as much as so many samples.
+        Neighbourhoods of 2^3 points are doubled until they hold values.
         """
         halves = [-(-n // 2) for n in self.shape]
-        x, y, z = (axis // 2 for axis in np.unravel_index(places, self.shape))
+        x, y, z = places.T // 2
         blocks = (x * halves[1] + y) * halves[2] + z
         size = int(np.prod(halves))
-        columns = [*values, *([] if base is None else [base]), np.ones(len(places))]
-        sums = np.stack([np.bincount(blocks, one, size) for one in columns]).astype(np.float32)
-        means = _blended(sums.reshape(-1, *halves), np.float32(most))
-        if base is not None:
-            means = means[:-1] / np.maximum(means[-1:], np.float32(1e-30))
-        for axis, size in enumerate(self.shape, 1):
-            means = _doubled(means, axis, size) if size > 1 else means
-        return means
-
-    def spread(self, places: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values (N, K) of points int (N, 3) on the whole grid, (nx, ny, nz, K): others take means of those near by."""
-        at = np.ravel_multi_index(tuple(places.T), self.shape)
-        found = np.ascontiguousarray(np.moveaxis(self.averaged(at, list(values.T), 1e-6), 0, -1))
+        sums = np.stack([np.bincount(blocks, one, size) for one in (*values.T, np.ones(len(places)))])
+        means = _filled(sums.astype(np.float32).reshape(-1, *halves))
+        for axis, count in enumerate(self.shape, 1):
+            means = _doubled(means, axis, count) if count > 1 else means
+        found = np.ascontiguousarray(np.moveaxis(means, 0, -1))
         found[tuple(places.T)] = values
         return found
 
 
-def _blended(sums: np.ndarray, most: np.float32) -> np.ndarray:
+def _filled(sums: np.ndarray) -> np.ndarray:
     """Means (K, nx, ny, nz) of sums (K + 1, nx, ny, nz), of which the last counts the samples."""
     shape = sums.shape[1:]
     if max(shape) == 1:
@@ -118,12 +110,12 @@ def _blended(sums: np.ndarray, most: np.float32) -> np.ndarray:
         if coarse.shape[axis] > 1:
             even, odd = (coarse[(slice(None),) * axis + (slice(start, None, 2),)] for start in (0, 1))
             coarse = even + odd
-    wide = _blended(coarse, most)
+    wide = _filled(coarse)
     for axis, size in enumerate(shape, 1):
         wide = _doubled(wide, axis, size) if size > 1 else wide
-    wide *= most
+    wide *= HARDLY
     wide += sums[:-1]
-    wide /= sums[-1:] + most
+    wide /= sums[-1:] + HARDLY
     return wide
 
 
@@ -254,25 +246,34 @@ class LightAtPoints:
 
         guides: float32 (cells,) each. Others: see the call.
         """
-        guide = np.sum([one[self._places] for one in guides], axis=0)
+        told = guides[0].copy()
+        for one in guides[1:]:
+            told += one
+        guide = told[self._places]
         chosen = _chosen(self._order, importance * np.maximum(guide, AMBIENT * guide.mean()), part.share * most)
         light = self._predicted(part, view, chosen)
         grey, places = grey_of(light), self._places[chosen]
         factors = _fitted(np.stack([one[places] for one in guides], axis=1).astype(np.float64), grey)
-        told = np.full(self.grid.shape, AMBIENT * max(float(grey.mean()), 1e-30), np.float32)
+        told[:] = AMBIENT * max(float(grey.mean()), 1e-30)
         for factor, one in zip(factors.astype(np.float32), guides):
             if factor > 0.0:
-                told.reshape(-1)[:] += factor * one
-        # Greys are averaged once.
-        colours = (
-            [] if np.array_equal(light[:, 0], light[:, 1]) and np.array_equal(grey, light[:, 2]) else list(light.T)
-        )
-        mean, *averages = self.grid.averaged(places, [grey, *colours], SPARSE, told.reshape(-1)[places])
-        found = np.stack([(one * told).reshape(-1)[self._places] for one in averages or [mean] * 3], axis=1)
-        mean *= told
-        # What is predicted is known.
-        found[chosen], mean.reshape(-1)[places] = light, grey
-        return found, mean
+                told += factor * one
+        # Greys are estimated once.
+        same = np.array_equal(light[:, 0], light[:, 1]) and np.array_equal(grey, light[:, 2])
+        columns = grey[:, None] if same else np.column_stack([grey, light])
+        mean = columns.sum(axis=0) / told[places].sum()
+        # Where nobody looks, the fit is near enough.
+        unknown = importance > 0.0
+        unknown[chosen] = False
+        cells = self._places[unknown]
+        ratios = krige(self.grid.shape, places, columns / told[places, None], mean, cells)
+        estimates = np.maximum(ratios, LEAST_RATIO * mean) * told[cells, None]
+        found = np.empty((len(importance), 3), np.float32)
+        found[:] = told[self._places, None] * mean[-3:]
+        found[unknown], found[chosen] = estimates[:, -3:], light
+        told *= mean[0]
+        told[cells], told[places] = estimates[:, 0], grey
+        return found, told.reshape(self.grid.shape)
 
 
 def grey_of(light: np.ndarray) -> np.ndarray:

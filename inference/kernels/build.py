@@ -39,6 +39,7 @@ VARYING = (
     "columns.c",
     "flow.c",
     "gather.c",
+    "kriging.c",
     "lamps.c",
     "march.c",
     "moments.c",

@@ -443,6 +443,22 @@ typedef struct {
     int64_t *number;             /* (rows, columns), of the last triangle with the largest value */
 } Raster;
 
+/* Values at cells of a grid from those at known ones, by simple kriging: guided_light. */
+typedef struct {
+    int64_t values;              /* at each cell */
+    const float *known;          /* (known cells, values) */
+    const int32_t *numbers;      /* of known cells; elsewhere, and around the grid as far as offsets reach, -1 */
+    const float *mean;           /* (values), expected where nothing near by is known */
+    int64_t offsets;
+    const int32_t *offset;       /* (offsets, 4), steps to cells that are looked at, and their square; nearest first */
+    const int64_t *step;         /* (offsets), the same in `numbers` */
+    const float *covariance;     /* of two values by the square of their distance, up to twice the longest offset's */
+    double noise;                /* variance of known values beside that, above 0 */
+    int64_t cells;
+    const int64_t *cell;         /* (cells), in `numbers`, whose values are asked */
+    float *found;                /* (cells, values) */
+} Kriging;
+
 /* Functions of the library that take one structure, which X is told with its type. */
 #define MRPNN_FUNCTIONS(X) \
     X(sweep_columns, const ColumnSweep) \
@@ -472,6 +488,7 @@ typedef struct {
     X(join_pixels, const PixelJoin) \
     X(cross_boxes, const BoxCrossings) \
     X(fill_raster, const Raster) \
+    X(krige, const Kriging) \
     X(multiply, const MatrixProduct)
 
 #endif

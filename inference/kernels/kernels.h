@@ -10,7 +10,7 @@ arrays of numpy, which the caller keeps alive. Sizes are trusted; what volumes h
 #include <stdint.h>
 
 /* Changes with every change of a structure or of a function's parameters. */
-#define MRPNN_INTERFACE 36
+#define MRPNN_INTERFACE 37
 
 /* Colour channels. */
 #define MRPNN_CHANNELS 3

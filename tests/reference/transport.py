@@ -113,6 +113,20 @@ def sweep_ahead(sweep: Fields) -> int:
     return count
 
 
+def krige(kriging: Fields) -> int:
+    """The mean plus K^-1 c times what the nearest six known values differ from it."""
+    steps, squares, mean = kriging["offset"][:, :3], kriging["offset"][:, 3], kriging["mean"]
+    for found, cell in zip(kriging["found"], kriging["cell"]):
+        numbers = kriging["numbers"].reshape(-1)[cell + kriging["step"]]
+        [near] = np.nonzero(numbers >= 0)
+        near = near[:6]
+        between = ((steps[near, None] - steps[near]) ** 2).sum(axis=2)
+        covariance = kriging["covariance"][between] + kriging["noise"] * np.eye(len(near))
+        weights = np.linalg.solve(covariance.astype(float), kriging["covariance"][squares[near]].astype(float))
+        found[:] = mean + weights @ (kriging["known"][numbers[near]] - mean)
+    return len(kriging["cell"])
+
+
 def fill_lattice(part: Fields) -> int:
     """The logarithm of a density, and what a depth lets pass, interpolated and rounded to 65536 steps."""
     density, depth, visibility = (
@@ -169,6 +183,7 @@ KERNELS: dict[str, Callable[[Fields], int]] = {
     "fill_lattice": fill_lattice,
     "refine": refine,
     "sweep_ahead": sweep_ahead,
+    "krige": krige,
     "sweep_ordinates": sweep_ordinates,
     "sweep_radiance": sweep_radiance,
 }

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from inference import PointLight, Surface, Velocity
+from inference.baking.kriging import krige
 from inference.baking.light_ahead import light_ahead
 from inference.environments.open_depths import OpenDepths
 from inference.features.final_gather import FinalGather
@@ -228,6 +229,9 @@ def transport(random: np.random.Generator) -> None:
     extinction, emission = (spoiled(random, shape, np.float64) for _ in range(2))
     sweep_radiance(extinction, emission, 0.1, int(random.choice([2, 4, 6])))
     light_ahead(spoiled(random, shape), spoiled(random, (int(random.integers(1, 4)), *shape)), direction(random))
+    known, asked = (random.integers(0, np.prod(shape), n) for n in (int(random.integers(0, 40)), 20))
+    values = spoiled(random, (len(np.unique(known)), int(random.integers(1, 5))))
+    krige(shape, np.unique(known), values, spoiled(random, values.shape[1:]), asked)
     equation = couple(spoiled(random, shape, np.float64), 0.1)
     solve(equation, spoiled(random, shape, np.float64))
 

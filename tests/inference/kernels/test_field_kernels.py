@@ -9,6 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from inference import Medium, PointLight, Surface, Volume
+from inference.baking.kriging import krige
 from inference.baking.light_ahead import light_ahead
 from inference.environments.open_depths import OpenDepths, direction_depths
 from inference.features.final_gather import FinalGather
@@ -271,6 +272,17 @@ def test_light_ahead(direction, shape):
     for found in variants:
         for one, other in zip(expected, found):
             assert_close(one, other)
+
+
+@pytest.mark.parametrize("shape, known", [((12, 20, 9), 300), ((1, 1, 7), 2), ((8, 8, 8), 0), ((3, 4, 5), 60)])
+def test_kriging(shape, known):
+    random, cells = np.random.default_rng(0), int(np.prod(shape))
+    places, values = random.choice(cells, known, replace=False), random.normal(size=(known, 2))
+    expected, variants = in_numpy_and_compiled(
+        lambda: krige(shape, places, values, np.array([0.3, 7.0]), np.arange(cells))
+    )
+    for found in variants:
+        assert_close(expected, found)
 
 
 def test_diffusion():
