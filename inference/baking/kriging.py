@@ -23,8 +23,9 @@ def krige(
 
     known: (N, V), at different places int (N,). mean: (V,), expected far from all of these.
     """
-    padded = tuple(size + 2 * REACH for size in shape)
-    places, cells = (np.ravel_multi_index(np.array(np.unravel_index(n, shape)) + REACH, padded) for n in (places, cells))
+    padded = [size + 2 * REACH for size in shape]
+    row = np.array([padded[1] * padded[2], padded[2], 1])
+    places, cells = (np.column_stack(np.unravel_index(n, shape)) @ row + REACH * row.sum() for n in (places, cells))
     numbers = np.full(padded, -1, np.int32)
     numbers.reshape(-1)[places] = np.arange(len(places))
     offsets, covariance = _neighbourhood()
@@ -37,7 +38,7 @@ def krige(
         mean=np.ascontiguousarray(mean, np.float32),
         offsets=len(offsets),
         offset=offsets,
-        step=offsets[:, :3].astype(np.int64) @ np.array([padded[1] * padded[2], padded[2], 1]),
+        step=offsets[:, :3].astype(np.int64) @ row,
         covariance=covariance,
         noise=NOISE,
         cells=len(cells),
