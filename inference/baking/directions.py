@@ -134,7 +134,7 @@ class _Nodes:
 class _AlongAnchors:
     """Light of N nodes along A rays that are turned from the baked one as the anchors are, about the volume's middle.
 
-    stride: of the nodes. along: (N, A, 3), unit directions. light: (N, A), mean over the colours.
+    stride: of the nodes. along: float32 (N, A, 3), unit directions. light: (N, A), mean over the colours.
     """
 
     nodes: _Nodes
@@ -203,7 +203,7 @@ class DirectionFit:
         along_view, light = self._light(nodes, stride), [nodes.baked]
         light += [along_view(view, seen[:, k], PREDICTIONS) for k, view in enumerate(views) if k]
         found = [view.directions(nodes.positions) for view in views]
-        along = np.stack([one for one in found if one is not None], axis=1)
+        along = np.stack([one.astype(np.float32) for one in found if one is not None], axis=1)
         return _AlongAnchors(nodes, stride, along, np.stack([grey_of(one) for one in light], axis=1))
 
     def _anchors(self, smooth: NodeGrid, known: _AlongAnchors | None) -> NodeGrid:
@@ -228,6 +228,7 @@ class DirectionFit:
         positions = known.nodes.positions
         frames, coefficients = self.view.frames(positions), smooth.sample(positions)
         assert frames is not None
+        frames = frames.astype(np.float32)
         columns = range(len(ANCHORS))
         fitted = [np.einsum("nk,nk->n", coefficients, directional_terms(known.along[:, k], self.lobe)) for k in columns]
         least = MIN_RADIANCE * known.light.mean(axis=1, keepdims=True)
@@ -237,7 +238,7 @@ class DirectionFit:
         # Off the middle, rays of turned cameras are not quite along the anchors.
         for start in range(0, len(corrections) if self.view.position is not None else 0, NODES_PER_BATCH):
             span = slice(start, start + NODES_PER_BATCH)
-            local = np.einsum("nij,nkj->nki", frames[span], known.along[span]).astype(np.float32)
+            local = np.einsum("nij,nkj->nki", frames[span], known.along[span])
             terms = anchor_terms(local.reshape(-1, 3)).reshape(len(local), len(columns), -1)
             for _ in range(SWEEPS):
                 told = np.einsum("nk,nak->na", corrections[span], terms)
