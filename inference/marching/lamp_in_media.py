@@ -19,7 +19,7 @@ from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
 from ..scene.emitters import Emitter
-from ..scene.lamps import MOST, Lamp
+from ..scene.lamps import MOST, Lamp, distance_from_box
 from ..source_terms.described_lamps import describe_emitter
 
 # Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
@@ -200,14 +200,17 @@ def _may_shade(surfaces: Sequence[Surface], emitters: Sequence[Emitter], grids: 
 
 
 def _emitters(lamp: Lamp, grids: Sequence[Grid], share: float, most: int = MOST) -> Sequence[Emitter]:
-    """Emitters, up to `most`, of a lamp; fewer of lamps that give less than half of the light."""
+    """Emitters, up to `most`, of a lamp; fewer of lamps outside of the volumes that give less than half of light."""
     corners = np.concatenate([grid.corners() for grid in grids])
-    return lamp.emitters(corners.min(axis=0), corners.max(axis=0), int(np.clip(2.0 * share * MOST, 1, most)))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if distance_from_box(lamp.centre, low, high) > 0.0:
+        most = int(np.clip(2.0 * share * MOST, 1, most))
+    return lamp.emitters(low, high, most)
 
 
 def _coarser(share: float) -> int:
     """Factor of the spacing of a lamp's columns: the shadows of many lamps blend, as those of many emitters do."""
-    return 1 << int(np.clip(0.5 * np.log2(0.5 / max(share, 1e-9)), 0.0, MOST_COARSER))
+    return 1 << round(float(np.clip(0.5 * np.log2(0.5 / max(share, 1e-9)), 0.0, MOST_COARSER)))
 
 
 def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = (), share: float = 1.0) -> bytes:
