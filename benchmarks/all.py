@@ -36,7 +36,7 @@ SKY = "benchmarks.cost.sky --counts 1 10 100 1000 10000 --clouds 5 --whole"
 TURNED_SKY = "benchmarks.cost.sky --counts 1 10 40 --clouds 5 --turned --whole"
 MANY_LAMPS = (
     "benchmarks.cost.lamps --rounds 5 --sizes 64x64 --only 'four suns' 'four point lights' 'twelve spots of a stage'"
-    " 'thirty lamps of a street' 'thirty-six panels of a ceiling'"
+    " 'thirty lamps of a street' 'thirty point lights inside' 'thirty-six panels of a ceiling'"
 )
 LAMPS = (
     "benchmarks.cost.lamps --rounds 3 --sizes 64x64 256x256 1920x1080 --only 'a point light' 'a spot light'"

@@ -5,7 +5,8 @@
 
 Renders a procedural cloud lit by one sun, and by a lamp of each kind outside of it, by a point light inside, by four
 suns and four point lights, by a stage of twelve spots, a street of thirty lamps, thirty point lights inside and a
-ceiling of thirty-six area lights, in turn, and prints the least seconds of each and their ratios to the sun's.
+ceiling of thirty-six area lights, in turn, and prints the least seconds of each, their ratios to the sun's, and those
+of many lamps to one of them.
 """
 
 import numpy as np
@@ -16,6 +17,13 @@ from ..support.light_table import print_table
 from .frame import SUN, frame_of, panel
 
 PROGRAM = "benchmarks.cost.lamps"
+#: Of several lamps, the name of one of them.
+ALONE = {
+    "twelve spots of a stage": "a spot of the stage",
+    "thirty lamps of a street": "a lamp of the street",
+    "thirty point lights inside": "a point light inside",
+    "thirty-six panels of a ceiling": "a panel of the ceiling",
+}
 
 
 def lights(volume) -> dict[str, list]:
@@ -38,6 +46,9 @@ def lights(volume) -> dict[str, list]:
     filled = np.argwhere(volume.density > 0.3 * volume.density.max())
     some = filled[np.random.default_rng(5).integers(len(filled), size=30)] + 0.5
     inside = some @ volume.world_from_index[:3, :3].T + volume.world_from_index[:3, 3]
+    stage = [SpotLight(spot, middle - spot, power, 0.6, 0.2, 0.02 * size) for spot in spots]
+    street = [PointLight(post, power, 0.02 * size) for post in posts]
+    ceiling = [AreaLight(turn, "square", 0.3 * size, power) for turn in panels]
     return {
         "one white sun": [Sun(towards, 3.0)],
         "a point light": [PointLight(place, power, 0.02 * size)],
@@ -46,15 +57,18 @@ def lights(volume) -> dict[str, list]:
         "a point light inside": [PointLight(middle, power, 0.02 * size)],
         "four suns": [Sun(way, 3.0) for way in around],
         "four point lights": [PointLight(middle + 1.2 * size * way, power) for way in around],
-        "twelve spots of a stage": [SpotLight(spot, middle - spot, power, 0.6, 0.2, 0.02 * size) for spot in spots],
-        "thirty lamps of a street": [PointLight(post, power, 0.02 * size) for post in posts],
+        "a spot of the stage": stage[5:6],
+        "twelve spots of a stage": stage,
+        "a lamp of the street": street[15:16],
+        "thirty lamps of a street": street,
         "thirty point lights inside": [PointLight(point, power / 30.0) for point in inside],
-        "thirty-six panels of a ceiling": [AreaLight(turn, "square", 0.3 * size, power) for turn in panels],
+        "a panel of the ceiling": ceiling[14:15],
+        "thirty-six panels of a ceiling": ceiling,
     }
 
 
 def main(options=None):
-    print_table(PROGRAM, __doc__, lights, ["64x64", "256x256"], options)
+    print_table(PROGRAM, __doc__, lights, ["64x64", "256x256"], options, ALONE)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -20,12 +20,14 @@ def print_table(
     lights: Callable[[Volume], dict[str, list]],
     sizes: Sequence[str],
     options: Sequence[str] | None = None,
+    alone: Mapping[str, str] | None = None,
 ) -> None:
     """Render a procedural cloud in each light in turn; print the least seconds, and their ratios to the first light's.
 
     program, description: for the command line. lights: of the volume, by name. sizes: of images, unless the options
-    name others.
+    name others. alone: of the names of several lamps the name of one of them, to which the ratio is printed, too.
     """
+    alone = alone or {}
     parser = argparse.ArgumentParser(
         prog=f"python -m {program}", description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -39,9 +41,11 @@ def print_table(
     shining = lights(volume)
     first = next(iter(shining))
     if arguments.only:
-        shining = {name: shining[name] for name in (first, *arguments.only)}
+        asked = [first, *(alone[name] for name in arguments.only if name in alone), *arguments.only]
+        shining = {name: shining[name] for name in asked}
     print(made_by(program, options))
-    print("| pixels | light | processor seconds | beside one sun |\n|---|---|---|---|")
+    heads = ["pixels", "light", "processor seconds", "beside one sun", *(["beside one of them"] if alone else [])]
+    print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
     for size in arguments.sizes:
         camera = camera_covering(volume, MEDIUM, tuple(int(edge) for edge in size.split("x")), 0.43)
         least = dict.fromkeys(shining, np.inf)
@@ -51,4 +55,7 @@ def print_table(
                 render([(volume, MEDIUM)], some, camera, settings)
                 least[name] = min(least[name], time.process_time() - start)
         for name, seconds in least.items():
-            print(f"| {size} | {name} | {seconds:.2f} | {seconds / least[first]:.2f} |", flush=True)
+            row = [size, name, f"{seconds:.2f}", f"{seconds / least[first]:.2f}"]
+            if alone:
+                row.append(f"{seconds / least[alone.get(name, name)]:.2f}")
+            print(f"| {' | '.join(row)} |", flush=True)

@@ -25,6 +25,11 @@ class JoinedLamps:
     lamps: Sequence[LampInMedia]
     middle: np.ndarray
 
+    @property
+    def count(self) -> int:
+        """As of LampInMedia."""
+        return len(self.lamps)
+
     @cached_property
     def power(self) -> np.ndarray:
         """Power (3,) of all of them, W."""

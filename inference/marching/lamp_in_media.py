@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..occluders.lamp_shadow_map import CELLS, LampShadowMap
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Medium, Surface, Volume
 from ..scene.emitters import Emitter
-from ..scene.lamps import Lamp
+from ..scene.lamps import MOST, Lamp, distance_from_box
 from ..source_terms.described_lamps import describe_emitter
 
 # Mean optical depth around a lamp inside a volume from which on multiple scattering is less accurate; measured.
@@ -57,6 +57,8 @@ class LampInMedia:
     shadow_maps: list[LampShadowMap] | None = None
     key: bytes = b""
     surface_shadow_maps: list[LampShadowMap] | None = None
+    #: How many lamps it stands for.
+    count: ClassVar[int] = 1
 
     @property
     def power(self) -> np.ndarray:
@@ -162,8 +164,7 @@ def place_lamp(
 
     share: of all light, that it gives where that is the most.
     """
-    corners = np.concatenate([grid.corners() for grid in grids])
-    emitters, maps = lamp.emitters(corners.min(axis=0), corners.max(axis=0)), None
+    emitters, maps = _emitters(lamp, grids, share), None
     coarser = max(round(len(emitters) ** 0.5), _coarser(share))
     shading = _shading(lamp, surfaces)
     if shading:
@@ -175,7 +176,7 @@ def place_lamp(
         [LampOpticalDepth(grid.density, grid.linear, grid.offset, emitter.source, coarser, cancel) for grid in grids]
         for emitter in emitters
     ]
-    coarse = lamp.emitters(corners.min(axis=0), corners.max(axis=0), COARSE)
+    coarse = _emitters(lamp, grids, share, COARSE)
     key = lamp_key(lamp, grids, surfaces, share)
     return LampInMedia(lamp, emitters, depths, coarse, maps if shaded else None, key, maps)
 
@@ -198,16 +199,24 @@ def _may_shade(surfaces: Sequence[Surface], emitters: Sequence[Emitter], grids: 
     return False
 
 
+def _emitters(lamp: Lamp, grids: Sequence[Grid], share: float, most: int = MOST) -> Sequence[Emitter]:
+    """Emitters, up to `most`, of a lamp; fewer of lamps outside of the volumes that give less than half of light."""
+    corners = np.concatenate([grid.corners() for grid in grids])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if distance_from_box(lamp.centre, low, high) > 0.0:
+        most = int(np.clip(2.0 * share * MOST, 1, most))
+    return lamp.emitters(low, high, most)
+
+
 def _coarser(share: float) -> int:
     """Factor of the spacing of a lamp's columns: the shadows of many lamps blend, as those of many emitters do."""
-    return 1 << int(np.clip(0.5 * np.log2(0.5 / max(share, 1e-9)), 0.0, MOST_COARSER))
+    return 1 << round(float(np.clip(0.5 * np.log2(0.5 / max(share, 1e-9)), 0.0, MOST_COARSER)))
 
 
 def lamp_key(lamp: Lamp, grids: Sequence[Grid], surfaces: Sequence[Surface] = (), share: float = 1.0) -> bytes:
     """Digest that is equal for lamps that differ in power alone and have equal shadows; share: as of `place_lamp`."""
-    corners = np.concatenate([grid.corners() for grid in grids])
     digest = hashlib.blake2b(bytes([_coarser(share)]), digest_size=16)
-    for emitter in lamp.emitters(corners.min(axis=0), corners.max(axis=0)):
+    for emitter in _emitters(lamp, grids, share):
         _add_values(digest, emitter)
     for surface in _shading(lamp, surfaces):
         digest.update(np.ascontiguousarray(surface.triangles).tobytes())

@@ -115,7 +115,7 @@ class PlacedLamp:
     def beam(self) -> LampInCube:
         """What the coarse transport takes in."""
         lamp = self.lamp
-        return LampInCube(lamp.coarse, self.cube, lamp.coarse_shadow_maps, lamp.key, lamp.centre)
+        return LampInCube(lamp.coarse, self.cube, lamp.coarse_shadow_maps, lamp.key, lamp.centre, lamp.count)
 
     @property
     def direction(self) -> np.ndarray:

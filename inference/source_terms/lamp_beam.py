@@ -21,6 +21,8 @@ from .lamp_cells import LampCells, light_in_cells
 # so many cells of the lamp, where its light varies as the inverse square of a distance smaller than a cell. Nearer to
 # the lamp than a fraction of the distance between them no light is told apart.
 PARTS, NEAR_PARTS, NEAR_CELLS, SOFT = 2, 8, 2.5, 0.4
+# Most by which the columns of several lamps together are further apart than those of one.
+BLENDED = 1.5
 # Optical depth beyond which no light arrives.
 MAX_DEPTH = 60.0
 
@@ -44,7 +46,7 @@ class LampInCube:
 
     emitters: its parts, in the world. cube: the working cube. shadow_maps: of each emitter, None where nothing shadows
     it, or None. key: digest that is equal for lamps with the same light and shadows. centre: (3,), in the world, where
-    its light comes from.
+    its light comes from. lamps: how many lamps it stands for, whose shadows blend: their columns may be further apart.
     """
 
     emitters: Sequence[Emitter]
@@ -52,6 +54,7 @@ class LampInCube:
     shadow_maps: Sequence[LampShadowMap | None] | None
     key: bytes
     centre: np.ndarray
+    lamps: int = 1
 
     @property
     def place(self) -> np.ndarray:
@@ -68,9 +71,9 @@ class LampInCube:
         self, solver: "DiscreteOrdinates | CubeCells", cancel: CancelToken = NEVER
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean of the unscattered light over each cell, and unit vectors (3, x, y, z) towards the lamp."""
-        n = len(solver.density)
+        n, few = len(solver.density), PARTS if len(self.emitters) == 1 else 1
         light, filled = np.zeros((n, n, n), np.float32), np.flatnonzero(solver.density > 0.0)
-        light.reshape(-1)[filled] = self._light(solver, filled, PARTS if len(self.emitters) == 1 else 1, cancel)[0]
+        light.reshape(-1)[filled] = self._light(solver, filled, few, cancel, min(self.lamps**0.25, BLENDED))[0]
         lamp = self.place
         away = np.empty((3, n, n, n), np.float32)
         for axis, along in enumerate(np.ogrid[:n, :n, :n]):

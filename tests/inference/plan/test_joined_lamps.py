@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Distant lamps whose multiple scattering is predicted at once: which these are, and what it changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from inference import Medium, PointLight, RenderCache, Settings, SpotLight, Sun, Surface, render
+from inference import AreaLight, Medium, PointLight, RenderCache, Settings, SpotLight, Sun, Surface, render
 from inference.plan.joined_lamps import joined_lamps
 from inference.scene.optimizations import ALL, OPTIMIZATIONS
 from tests.support.volumes import camera, cloud
@@ -69,11 +71,31 @@ def test_lamps_beside_brighter_ones_need_fewer_points():
     assert change(seen(around), seen(around, JOINED)) < OPTIMIZATIONS["shared_pixels"].budget
 
 
-def test_lamps_at_one_place_join_as_one():
-    whole, halves = (picture([PointLight(along(1, 1, 2), power)] * count) for power, count in ((80.0, 1), (40.0, 2)))
-    # The transport samples several lamps in fewer places of each cell, which are large in a small picture.
-    assert change(halves, whole) < 2e-3
-    assert halves.report.counts["network points"] == whole.report.counts["network points"]
+@pytest.mark.parametrize(("count", "bound"), [(2, 2e-3), (30, 0.01)])
+def test_lamps_at_one_place_join_as_one(count, bound):
+    whole, parts = (picture([PointLight(along(1, 1, 2), 80.0 / n)] * n) for n in (1, count))
+    # The transport samples several lamps in fewer places of each cell, which are large in a small picture; and columns
+    # of many lamps are further apart.
+    assert change(parts, whole) < bound
+    assert parts.report.counts["network points"] == whole.report.counts["network points"]
+
+
+def test_lamps_at_one_place_inside_give_the_light_of_one():
+    whole, parts = (picture([PointLight((0.05, 0.1, 0.0), 80.0 / n, 0.02)] * n) for n in (1, 8))
+    assert change(parts, whole) < 0.01
+
+
+@pytest.mark.slow
+def test_joined_panels_give_the_sum_of_what_each_gives():
+    """Each has fewer emitters than alone."""
+    lamps = []
+    for x, y in np.ndindex(3, 3):
+        matrix = np.eye(4)
+        matrix[:3, 3] = 0.4 * (x - 1.0), 0.4 * (y - 1.0), 2.5
+        lamps.append(AreaLight(matrix, "square", 0.6, 20.0))
+    joined, each = picture(lamps), [picture([lamp]) for lamp in lamps]
+    total = replace(each[0], rgb=sum(layer.rgb for layer in each))
+    assert change(joined, total) < OPTIMIZATIONS["distant_lamps"].budget
 
 
 def test_lamps_of_about_the_same_direction_are_joined():
