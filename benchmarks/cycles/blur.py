@@ -3,8 +3,9 @@
 
     python -m benchmarks.cycles.blur [--size 192] [--samples 384]
 
-OpenVDB's smoke, thin enough for Cycles' references to converge: out of focus, moving past a camera that stands, and
-before a camera that moves. Errors are relative RMSE inside the picture of the smoke, against two independent halves of
+OpenVDB's smoke, thin enough for Cycles' references to converge: out of focus, in focus before a second one out of
+focus, moving past a camera that stands, and before a camera that moves. *Without blur* is the same scene without lens
+and motion, against a reference of its own. Errors are relative RMSE inside the picture of the smoke, against two independent halves of
 a reference, whose noise does not count. Seconds are those of all threads, of a first frame: of the layer with reading
 the scene. *Cycles, denoised* is by OpenImageDenoise.
 """
@@ -24,7 +25,7 @@ from ..support.provenance import made_by
 
 PROGRAM = "benchmarks.cycles.blur"
 SMOKE, OPTICAL_DEPTH, FRAME = "openvdb_smoke.vdb", 4.0, 10
-SCENES = "out of focus", "moving smoke", "moving camera"
+SCENES = "out of focus", "one in focus before one out of focus", "moving smoke", "moving camera"
 BLUR_RAYS, CYCLES_SAMPLES = (4, 16), (4, 16, 64)
 
 
@@ -36,9 +37,15 @@ def stage(blur: str, size: int) -> bpy.types.Scene:
     demo_scene.fit(scene, smoke, shader, read_scene, OPTICAL_DEPTH)
     bpy.context.view_layer.update()
     camera, height = scene.camera, demo_scene.EDGE
-    if blur == "out of focus":
-        lens = camera.data.dof
-        lens.use_dof, lens.focus_distance = True, 0.6 * camera.matrix_world.translation.length
+    if blur in SCENES[:2]:
+        lens, distance = camera.data.dof, camera.matrix_world.translation.length
+        lens.use_dof, lens.focus_distance = True, 0.6 * distance
+        if blur == SCENES[1]:
+            lens.focus_distance = distance
+            behind = smoke.copy()
+            scene.collection.objects.link(behind)
+            axes = camera.matrix_world.to_3x3()
+            behind.location += 0.2 * height * axes.col[0] - 0.7 * distance * axes.col[2]
         # The circle of confusion is about a fourteenth of the smoke.
         lens.aperture_fstop = camera.data.lens * 1e-3 / (2.0 * 0.05 * height)
     else:
@@ -75,6 +82,9 @@ def measured(blur: str, size: int, samples: int) -> Iterator[list[str]]:
     # The first loads the network.
     _, *found = layers(scene)
     yield from rows(blur, scene, samples, (*found, *cycles_pictures(scene, CYCLES_SAMPLES)))
+    scene.render.use_motion_blur = scene.camera.data.dof.use_dof = False
+    _, picture, seconds = list(layers(scene))[1]
+    yield from rows(blur, scene, samples, [("layer, without blur", picture, seconds)])
 
 
 def main(options: list[str] | None = None) -> None:

@@ -15,6 +15,9 @@ from .shutter import camera_at, shutter_times
 
 #: Edge in pixels of the block within which all pixels have different eyes: a power of two.
 BLOCK = 4
+#: Where in its rays' intervals of time each pixel of a block looks, in sixteenths, by row and column. Each row, each
+#: column and each square of 2 x 2 has one of each quarter, since what moves along a row is joined along it alone.
+SHIFTS = np.array([[0, 6, 11, 13], [9, 15, 2, 4], [14, 8, 5, 3], [7, 1, 12, 10]])
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ def find_eyes(camera: Camera, rays: int) -> Eyes | None:
     number = np.arange(count) % rays
     # Within the pixel: the rays of a pixel spread over its area.
     beside = np.stack([(number + 0.5) / rays - 0.5, _reversed_bits(number, rays) - 0.5], axis=1)
-    times = np.full(count, 0.5) if camera.shutter is None else shutter_times(camera.shutter, w)
+    times = np.full(count, 0.5) if camera.shutter is None else shutter_times(camera.shutter, _evenly(w, rays))
     points = np.zeros((count, 2)) if camera.lens is None else aperture_points(camera.lens, u, v)
     return Eyes([_eye(camera_at(camera, times[n]), points[n], beside[n]) for n in range(count)], rays, times)
 
@@ -94,6 +97,15 @@ def _eye(camera: Camera, point: np.ndarray, beside: np.ndarray) -> Camera:
         oblique = lens.focus * axes[:, 2] + axes[:, :2] @ point
         matrix[:3, 2] = oblique / np.linalg.norm(oblique)
     return replace(camera, world_matrix=matrix, shift=(float(shift[0]), float(shift[1])), lens=None)
+
+
+def _evenly(w: np.ndarray, rays: int) -> np.ndarray:
+    """Numbers (E,) in (0, 1) in the order of w (E,) among the rays of each pixel, one in each of as many intervals."""
+    places = np.arange(BLOCK**2)
+    column, row = (sum((places >> (2 * k + down) & 1) << k for k in range(2)) for down in (0, 1))
+    shift = (SHIFTS[row, column] + 0.5) / BLOCK**2
+    ranks = w.reshape(-1, rays).argsort(axis=1).argsort(axis=1)
+    return ((ranks + shift[:, None]) / rays).ravel()
 
 
 def _places(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -68,6 +68,30 @@ def test_each_pixel_looks_at_times_all_over_the_shutter():
     assert np.allclose([eye.world_matrix[0, 3] for eye in eyes.cameras], 2.0 * eyes.times - 1.0)
 
 
+@pytest.mark.parametrize("rays", [2, 4, 6, 16])
+def test_rows_columns_and_squares_of_pixels_look_at_times_all_over_the_shutter(rays):
+    """Pixels are joined along the way of what moves."""
+    eyes = find_eyes(replace(CAMERA, shutter=Shutter([placed(-1.0), placed(1.0)])), rays)
+    columns, rows = (axis.ravel() for axis in np.meshgrid(np.arange(8), np.arange(8)))
+    times = eyes.times[eyes.of_pixels(columns, rows)].reshape(8, 8, rays)
+    squares = times.reshape(4, 2, 4, 2, rays).swapaxes(1, 2).reshape(16, -1)
+    for group in (*times[:, :4].reshape(8, -1), *times[2:6].swapaxes(0, 1).reshape(8, -1), *squares):
+        assert sorted((group * 4 * rays).astype(int)) == list(range(4 * rays))
+    assert sorted((eyes.times * 16 * rays).astype(int)) == list(range(16 * rays))
+
+
+@pytest.mark.parametrize("across", [0, 1])
+def test_few_rays_show_smoke_that_moves_along_pixels_without_noise(across):
+    ends = np.tile(placed(), (2, 1, 1))
+    ends[:, across, 3] += -0.1, 0.1
+    rng = np.random.default_rng(4)
+    density = np.kron(rng.random((6, 6, 6)), np.ones((4, 4, 4))).astype(np.float32)
+    smoke = replace(ball()[0], density=density), Medium(sigma_t=10.0, albedo=(0.0, 0.0, 0.0))
+    moving = replace(CAMERA, shutter=Shutter(ends))
+    few, many = (render([smoke], [], moving, Settings(blur_rays=rays)).alpha for rays in (4, 64))
+    assert np.sqrt(((few - many) ** 2).mean()) < 0.02 * many[many > 0.01].mean()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("projection", ["perspective", "orthographic", "equirectangular"])
 @pytest.mark.parametrize("curve", [(), (0.0, 1.0)])
