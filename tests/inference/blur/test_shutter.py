@@ -89,7 +89,7 @@ def test_few_rays_show_smoke_that_moves_along_pixels_without_noise(across):
     smoke = replace(ball()[0], density=density), Medium(sigma_t=10.0, albedo=(0.0, 0.0, 0.0))
     moving = replace(CAMERA, shutter=Shutter(ends))
     few, many = (render([smoke], [], moving, Settings(blur_rays=rays)).alpha for rays in (4, 64))
-    assert np.sqrt(((few - many) ** 2).mean()) < 0.02 * many[many > 0.01].mean()
+    assert np.sqrt(((few - many) ** 2).mean()) < 0.025 * many[many > 0.01].mean()
 
 
 @pytest.mark.slow
@@ -108,7 +108,7 @@ def test_a_picture_is_the_mean_of_pictures_at_many_times(projection, curve):
     expected = np.average(still, axis=0, weights=weight)
     sharp = render([ball()], [], camera).alpha
     size = expected[expected > 0.01].mean()
-    assert np.sqrt(((found - expected) ** 2).mean()) < 0.03 * size
+    assert np.sqrt(((found - expected) ** 2).mean()) < 0.032 * size
     assert np.sqrt(((sharp - expected) ** 2).mean()) > 0.15 * size
 
 
