@@ -5,9 +5,9 @@
 
 OpenVDB's smoke, thin enough for Cycles' references to converge: out of focus, in focus before a second one out of
 focus, moving past a camera that stands, and before a camera that moves. *Without blur* is the same scene without lens
-and motion, against a reference of its own. Errors are relative RMSE inside the picture of the smoke, against two independent halves of
-a reference, whose noise does not count. Seconds are those of all threads, of a first frame: of the layer with reading
-the scene. *Cycles, denoised* is by OpenImageDenoise.
+and motion, against a reference of its own. Errors are relative RMSE inside the picture of the smoke, against two
+independent halves of a reference, whose noise does not count. Seconds are those of all threads, of a first frame: of
+the layer with reading the scene. *Cycles, denoised* is by OpenImageDenoise.
 """
 
 import argparse
