@@ -37,10 +37,10 @@ def stage(blur: str, size: int) -> bpy.types.Scene:
     demo_scene.fit(scene, smoke, shader, read_scene, OPTICAL_DEPTH)
     bpy.context.view_layer.update()
     camera, height = scene.camera, demo_scene.EDGE
-    if blur in SCENES[:2]:
+    if blur.endswith("out of focus"):
         lens, distance = camera.data.dof, camera.matrix_world.translation.length
         lens.use_dof, lens.focus_distance = True, 0.6 * distance
-        if blur == SCENES[1]:
+        if blur != "out of focus":
             lens.focus_distance = distance
             behind = smoke.copy()
             scene.collection.objects.link(behind)
@@ -83,7 +83,7 @@ def measured(blur: str, size: int, samples: int) -> Iterator[list[str]]:
     _, *found = layers(scene)
     yield from rows(blur, scene, samples, (*found, *cycles_pictures(scene, CYCLES_SAMPLES)))
     scene.render.use_motion_blur = scene.camera.data.dof.use_dof = False
-    _, picture, seconds = list(layers(scene))[1]
+    _, (_, picture, seconds), *_ = layers(scene)
     yield from rows(blur, scene, samples, [("layer, without blur", picture, seconds)])
 
 

@@ -101,9 +101,9 @@ def _eye(camera: Camera, point: np.ndarray, beside: np.ndarray) -> Camera:
 
 def _evenly(w: np.ndarray, rays: int) -> np.ndarray:
     """Numbers (E,) in (0, 1) in the order of w (E,) among the rays of each pixel, one in each of as many intervals."""
-    places = np.arange(BLOCK**2)
-    column, row = (sum((places >> (2 * k + down) & 1) << k for k in range(2)) for down in (0, 1))
-    shift = (SHIFTS[row, column] + 0.5) / BLOCK**2
+    rows, columns = np.indices(SHIFTS.shape).reshape(2, -1)
+    shift = np.empty(BLOCK**2)
+    shift[_places(columns, rows)] = (SHIFTS.ravel() + 0.5) / BLOCK**2
     ranks = w.reshape(-1, rays).argsort(axis=1).argsort(axis=1)
     return ((ranks + shift[:, None]) / rays).ravel()
 

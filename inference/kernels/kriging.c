@@ -4,7 +4,6 @@
 #include <math.h>
 
 #include "fields.h"
-#include "lanes.h"
 #include "variants.h"
 
 /* Known cells that a cell's values come from, at most. */
