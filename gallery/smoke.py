@@ -46,37 +46,33 @@ def plume(folder: Path, detail: float):
 def fire(folder: Path, detail: float):
     """Flames and their smoke, which the flames light."""
     scene = stage.new_scene()
+    rising = column(6, round(64 * detail), round(80 * detail))
     rng = np.random.default_rng(9)
-    swirl, lick, noise = Swirl(rng, 0.9, 3, 0.65), Swirl(rng, 3.0, 2, 0.6, steps=5), Fractal(rng, 1.6, 5, 0.55)
-    low, high, voxel = (-0.9, -0.7, 0.0), (0.9, 0.7, 2.2), 0.011 / detail
-    stretch = np.array([1.0, 1.0, 0.45], np.float32)
+    lick, rags = Swirl(rng, 3.0, 3, 0.6, steps=5), Fractal(rng, 1.3, 5, 0.55)
+    low, high, voxel = (-1.0, -0.8, 0.0), (1.0, 0.8, 2.2), 0.011 / detail
+    stretch, size = np.array([1.0, 1.0, 0.5], np.float32), np.array([2.4, 2.4, 0.95], np.float32)
 
     def heat(points):
         z = points[:, 2]
-        moved = swirl(points * stretch, 0.24 * np.clip(z, 0, 1.5)) / stretch
-        moved = lick(moved, 0.05 * np.clip(2 * z, 0, 1))
-        across = np.hypot(moved[:, 0], moved[:, 1] / 0.8) / np.maximum(0.42 * (1 - moved[:, 2] / 1.7), 0.02)
-        body = 1.15 - across + 0.42 * noise(moved * stretch * 1.4)
-        return np.where((z > 0.02) & (z < 1.8), np.clip(body, 0, None) * ramp(1.7 - z, 0, 1.0), 0).astype(np.float32)
+        moved = lick(points * stretch, 0.05 * np.clip(2 * z, 0.1, 1)) / stretch
+        hot = 1.5 - z + 0.25 * rags(moved * stretch * 1.2)
+        return rising((moved / size).astype(np.float32)) * ramp(hot, 0.0, 1.1)
 
     def smoke(points):
         z = points[:, 2]
-        moved = swirl(points * stretch, 0.3 * np.clip(z, 0, 1.8)) / stretch
-        across = np.hypot(moved[:, 0], moved[:, 1]) / (0.25 + 0.2 * z)
-        return ramp(1 - across + 0.5 * noise(moved), 0, 1.2) * ramp(z, 0.5, 1.3) * ramp(2.2 - z, 0, 0.4)
+        return rising((points / (1.15 * size)).astype(np.float32)) * ramp(z, 0.6, 1.6) * ramp(2.15 - z, 0.0, 1.0)
 
-    hot = sample(heat, low, high, voxel)
-    flames = ramp(hot, 0.1, 1.5) ** 0.6
-    density = np.maximum(0.25 * sample(smoke, low, high, voxel), 0.03 * flames)
+    flames = np.sqrt(np.clip(sample(heat, low, high, voxel), 0, 1.2))
+    density = np.maximum(sample(smoke, low, high, voxel), 0.04 * flames)
     path = folder / "fire.vdb"
     stage.write_grids(path, {"density": density, "temperature": flames, "flame": flames}, low, voxel)
     _, shader = stage.volume(
-        path, Density=16.0, Color=(0.45, 0.42, 0.4), Anisotropy=0.3, Temperature_Attribute="temperature"
+        path, Density=16.0, Color=(0.7, 0.66, 0.63), Anisotropy=0.3, Temperature_Attribute="temperature"
     )
-    shader.inputs["Blackbody Intensity"].default_value = 16.0
-    shader.inputs["Temperature"].default_value = 1800.0
-    stage.even_world((0.004, 0.006, 0.012))
-    stage.camera((0.0, -4.0, 0.85), (0.0, 0.0, 0.92), 44.0)
+    shader.inputs["Blackbody Intensity"].default_value = 10.0
+    shader.inputs["Temperature"].default_value = 2500.0
+    stage.even_world((0.012, 0.016, 0.028))
+    stage.camera((0.0, -4.3, 0.8), (0.0, 0.0, 0.94), 42.0)
     return scene
 
 

@@ -43,6 +43,7 @@ def print_table(
     if arguments.only:
         asked = [first, *(alone[name] for name in arguments.only if name in alone), *arguments.only]
         shining = {name: shining[name] for name in asked}
+    alone = {name: of for name, of in alone.items() if name in shining}
     print(made_by(program, options))
     heads = ["pixels", "light", "processor seconds", "beside one sun", *(["beside one of them"] if alone else [])]
     print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
