@@ -118,8 +118,8 @@ def storm(folder: Path, detail: float):
     stage.write_grids(path, {"density": sample(density, low, high, voxel)}, low, voxel)
     stage.volume(path, Density=70.0, Color=(1.0, 1.0, 1.0), Anisotropy=0.8)
     stage.sun((-0.9, 0.35, 0.12), 1.6, (1.0, 0.45, 0.25))
-    stage.lamp("POINT", (0.22, -0.52, 0.8), 45.0, (0.55, 0.68, 1.0), shadow_soft_size=0.05)
-    stage.lamp("POINT", (-0.75, -0.42, 0.5), 12.0, (0.65, 0.7, 1.0), shadow_soft_size=0.05)
+    stage.lamp("POINT", (0.22, -0.52, 0.8), 55.0, (0.55, 0.68, 1.0), shadow_soft_size=0.05)
+    stage.lamp("POINT", (-0.72, -0.28, 0.48), 22.0, (0.65, 0.7, 1.0), shadow_soft_size=0.05)
     stage.sky(
         (0.0, (0.32, 0.16, 0.13)),
         (0.08, (0.14, 0.11, 0.16)),
