@@ -13,6 +13,14 @@ from ..scene.description import Medium, Volume
 MAX_EXTENT_RATIO, MANY, MAX_EXTENT_RATIO_OF_MANY = 4.0, 8, 8.0
 
 
+def group_name(members: Sequence[tuple[Volume, Medium]]) -> str:
+    """Names of volumes that are treated as one medium, for messages: two of them at most, each once."""
+    first, *others = dict.fromkeys(volume.name for volume, _ in members)
+    if len(others) > 1:
+        return f"{first} and {len(others)} more"
+    return " and ".join([first, *others])
+
+
 def overlapping(
     volumes: Sequence[tuple[Volume, Medium]],
 ) -> tuple[list[list[int]], list[tuple[int, int]]]:
