@@ -22,7 +22,7 @@ class VisibleObject:
 
     object: the evaluated object; valid only until the iterator advances.
     matrix: float64 (4, 4), object to world.
-    name: for messages.
+    name: for messages. Other objects have other names: one of a library is named with it, as in Blender's interface.
     source: the original object, or the one that instances it.
     host: evaluated, what instances it, such as an Empty, or the object itself; valid as long as `object`.
     key: equal for the same object or instance at other times.
@@ -69,9 +69,9 @@ def visible_objects(
             continue
         # An instance exists because of its instancer.
         source = instance.parent if instance.is_instance else instanced
-        name = source.original.name
-        if instance.is_instance and instanced.name != name:
-            name = f"{instanced.name} in {name}"
+        name, own = source.original.name_full, instanced.original.name_full
+        if instance.is_instance and own != name:
+            name = f"{own} in {name}"
         if in_render is not None:
             # Geometry nodes and particles show instances of objects that are themselves hidden.
             from_nodes = instance.is_instance and source.instance_type == "NONE"
