@@ -203,6 +203,20 @@ def test_light_is_baked_again_where_links_of_lights_change(addon, scene, cloud, 
     assert keys[0]["Cloud"] != keys[2]["Cloud"] and keys[0]["Other"] == keys[2]["Other"]
 
 
+def test_a_volume_too_small_for_its_file_is_named_and_the_others_are_baked(addon, scene, cloud, tmp_path, capfd):
+    """OpenVDB refuses transforms of tiny voxels."""
+    tiny, _ = blender_scenes.add_volume(scene, cloud.data.filepath, "Tiny", Density=1e5)
+    tiny.scale, tiny.location.x = (1e-5,) * 3, 0.1
+    other, _ = blender_scenes.add_volume(scene, cloud.data.filepath, "Small", Density=1e3)
+    other.scale, other.location.x = (1e-3,) * 3, 4.0
+    assert bake(tmp_path / "light") == {"FINISHED"}
+    said = "".join(capfd.readouterr())
+    assert 'volume "Tiny" is too small; scale the scene up' in said and '"Small" is' not in said
+    assert {shown["mrpnn_light"] for shown in lights()} == {"Cloud", "Small"}
+    assert all(shown.data.grids.load() for shown in lights())
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+
+
 def light_keys_by_name():
     from mrpnn.mrpnn_addon.baking.content import light_keys, volume_names
     from mrpnn.mrpnn_addon.scene.reader import read_scene
