@@ -21,6 +21,7 @@ from .network.interfaces import System
 from .network.network import load_network
 from .network.predictor import VolumePredictor
 from .network.uncertainty import UncertaintyNetwork, has_uncertainty, load_uncertainty_network
+from .plan.overlap import group_name
 from .runtime.cancellation import NEVER, CancelToken
 from .runtime.tasks import Tasks
 from .scene.description import Medium, Surface, Volume
@@ -211,8 +212,7 @@ class RenderCache:
         """Members of a group as one medium."""
         known = self._merged.pop(number, None)
         if known is None or not _same_members(known[0], members):
-            names = " and ".join(volume.name for volume, _ in members)
-            known = members, merge(grids, [medium for _, medium in members], names, cancel)
+            known = members, merge(grids, [medium for _, medium in members], group_name(members), cancel)
         self._merged[number] = known
         return known[1]
 

@@ -7,6 +7,7 @@ blender -b scene.blend --python-exit-code 1 --python mrpnn_script.py -- render -
 
 import argparse
 import os
+import re
 import time
 from collections.abc import Sequence
 from typing import NoReturn
@@ -206,6 +207,17 @@ def _positive(text: str) -> int:
     return number
 
 
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Options with values that begin with a minus as one word each: argparse takes frames -5..-1 for an option."""
+    found: list[str] = []
+    for word in arguments:
+        if found and found[-1].startswith("--") and "=" not in found[-1] and re.match(r"-\d", word):
+            found[-1] += f"={word}"
+        else:
+            found.append(word)
+    return found
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the command with its arguments, e.g. ["render", "--output", "cloud.exr"].
 
@@ -216,7 +228,7 @@ def main(arguments: Sequence[str]) -> int:
     found = {"version": FORMAT_VERSION, "blend": bpy.data.filepath, "blender": bpy.app.version_string}
     start = time.perf_counter()
     try:
-        options = _parser().parse_args(arguments)
+        options = _parser().parse_args(_joined(arguments))
         console = Console(machine=options.progress == "json")
         found["action"] = options.action
         with kept_frame(bpy.context.scene):

@@ -22,6 +22,7 @@ from ..mrpnn_addon.objects.views import view_path, view_paths, wanted_views
 from ..mrpnn_addon.output.frames import frame_path, parse_frames
 from ..mrpnn_addon.output.layer_image import save_view_transformed, show_in_image
 from ..mrpnn_addon.runtime.atomic_write import make_folder
+from ..mrpnn_addon.runtime.text import reason
 from ..mrpnn_addon.scene.reader import SceneDescription
 from ..mrpnn_addon.settings.properties import scene_settings
 from ..mrpnn_addon.status.forecast import forecast_bake
@@ -132,7 +133,10 @@ def bake(options: argparse.Namespace, console: Console, found: dict) -> None:
         if options.fast and scene.render.engine == "CYCLES":
             console.event("fast", make_fast(bpy.context.evaluated_depsgraph_get()))
         path = os.path.abspath(bpy.path.abspath(options.save))
-        bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
+        try:
+            bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
+        except RuntimeError as error:
+            raise SceneError(f"cannot write {path}: {reason(error)}") from error
         found["save"] = path
         console.event("saved", f"Saved: '{path}'", file=path)
     require_none(failed, frames)

@@ -32,10 +32,10 @@ class MRPNN_PT_object(EnginePanel, bpy.types.Panel):
             return
         column = layout.column()
         column.active = not check.outdated(context.scene)
-        if shown.name in check.voxels:
-            label(column, f"{' x '.join(map(str, check.voxels[shown.name]))} voxels", icon="OUTLINER_DATA_VOLUME")
+        if shown.name_full in check.voxels:
+            label(column, f"{' x '.join(map(str, check.voxels[shown.name_full]))} voxels", icon="OUTLINER_DATA_VOLUME")
         for text in (check.error, *check.warnings):
-            if f'"{shown.name}"' in text:
+            if f'"{shown.name_full}"' in text:
                 draw_text(context, column, text, "INFO")
 
 

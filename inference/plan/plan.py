@@ -44,7 +44,7 @@ from .memory import (
     lamp_bytes,
     ray_bytes,
 )
-from .overlap import overlapping
+from .overlap import group_name, overlapping
 from .precision import Rescaled, in_range
 from .resolution import BAND
 
@@ -144,7 +144,7 @@ class Plan(SceneLights):
 
     def group_name(self, group: int) -> str:
         """Names of a group's volumes, for messages."""
-        return " and ".join(volume.name for volume, _ in self.members(group))
+        return group_name(self.members(group))
 
     def predicts(self, group: int, channels: Channels) -> bool:
         """Whether multiple scattering is predicted in a group, in some colour channels."""
@@ -472,7 +472,7 @@ def _plan_group(
 
     Adds sentences to `planned` and `left_out`.
     """
-    names = " and ".join(volume.name for volume, _ in members)
+    names = group_name(members)
     scatters = _scatters(members, settings)
     predicted = settings.multiple and scatters and lit
     scattered_emission = settings.multiple and scatters and any(emits(*pair) for pair in members)

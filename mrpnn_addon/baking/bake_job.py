@@ -17,7 +17,7 @@ from ..runtime.atomic_write import make_folder
 from ..runtime.background import Worker
 from ..runtime.onnxruntime_version import check_runtime
 from ..scene.reader import SceneDescription
-from ..vdb.light_file import brightness, write_light
+from ..vdb.light_file import TooSmall, brightness, write_light
 from .content import light_keys, volume_names
 
 # End of the keys of light for a first look, and what makes its bake fast.
@@ -115,7 +115,13 @@ def bake_scene(
         # Blender caches files by path: every bake has names of its own.
         path = os.path.join(target.folder, f"{file_name(name)}-{secrets.token_hex(4)}_{scene.frame:04d}.vdb")
         scale = brightness(one)
-        write_light(path, one, scale)
+        try:
+            write_light(path, one, scale)
+        except TooSmall:
+            warnings.append(
+                f'not baked, so it scatters light once only: volume "{name}" is too small; scale the scene up'
+            )
+            continue
         key = keys[v] + COARSE * target.coarse
         baked.append(BakedVolume(name, key, path, scale, _for_material(one.directional)))
     return BakedScene(scene.frame, baked, names, seconds, warnings + lit[0].report.warnings, settings.directional)

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 
 from ...inference.plan.overlap import overlapping
-from ...inference.scene import Medium, Settings, Volume
+from ...inference.scene import Light, Medium, Settings, Surface, Volume
 from ...inference.scene.sparse_grid import SparseGrid
 from ..scene.reader import SceneDescription
 
@@ -32,7 +32,7 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
         for array in (sun.direction, sun.irradiance, *(sun.spread or ())):
             around.update(np.ascontiguousarray(array).data)
     for lamp in description.lamps:
-        values = [getattr(lamp, one.name) for one in fields(lamp) if one.name != "name"]
+        values = [getattr(lamp, one.name) for one in fields(lamp) if one.name not in ("name", "receivers")]
         around.update(type(lamp).__name__.encode())
         around.update(repr([v.tolist() if isinstance(v, np.ndarray) else v for v in values]).encode())
     for environment in description.environments:
@@ -47,7 +47,12 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
         around.update(
             repr((camera.projection, camera.resolution, camera.fov, camera.ortho_scale, camera.pixel_aspect)).encode()
         )
-    own = [_volume_digest(volume, medium) for volume, medium in description.volumes]
+    shining = (*description.lights, *description.surfaces)
+    around.update(repr([[_lights(one, surface.name) for surface in description.surfaces] for one in shining]).encode())
+    own = [
+        _volume_digest(volume, medium) + bytes(_lights(one, volume.name) for one in shining)
+        for volume, medium in description.volumes
+    ]
     keys = [""] * len(own)
     for group in overlapping(description.volumes)[0]:
         together = around.copy()
@@ -56,6 +61,11 @@ def light_keys(description: SceneDescription, settings: Settings) -> list[str]:
         for v in group:
             keys[v] = hashlib.sha256(together.digest() + own[v]).hexdigest()[:16]
     return keys
+
+
+def _lights(light: Light | Surface, name: str) -> bool:
+    """Whether a light or a glowing surface lights the volume or surface of a name."""
+    return light.receivers is None or name in light.receivers
 
 
 def _volume_digest(volume: Volume, medium: Medium) -> bytes:

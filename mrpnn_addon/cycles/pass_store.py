@@ -2,6 +2,7 @@
 """Finished passes of Cycles on disk, so that a second run continues the first."""
 
 import hashlib
+import io
 import json
 import zipfile
 from dataclasses import asdict, dataclass, field
@@ -103,8 +104,11 @@ class PassStore:
         """Write a pass atomically. Raises OSError where it cannot be written."""
         make_folder(str(self.folder))
         facts = {name: value for name, value in vars(done).items() if name != "image"}
+        content = io.BytesIO()
+        # An archive that a full disk cuts off ends with a traceback on the console.
+        np.savez(content, image=done.image.astype(np.float32), facts=json.dumps(facts))
         with atomic_write(str(self._path(job))) as file:
-            np.savez(file, image=done.image.astype(np.float32), facts=json.dumps(facts))
+            file.write(content.getbuffer())
 
     def _path(self, job: Job) -> Path:
         return self.folder / f"{job.name}.npz"

@@ -22,7 +22,7 @@ class VisibleObject:
 
     object: the evaluated object; valid only until the iterator advances.
     matrix: float64 (4, 4), object to world.
-    name: for messages.
+    name: for messages. Other objects have other names: one of a library is named with it, as in Blender's interface.
     source: the original object, or the one that instances it.
     host: evaluated, what instances it, such as an Empty, or the object itself; valid as long as `object`.
     key: equal for the same object or instance at other times.
@@ -69,9 +69,9 @@ def visible_objects(
             continue
         # An instance exists because of its instancer.
         source = instance.parent if instance.is_instance else instanced
-        name = source.original.name
-        if instance.is_instance and instanced.name != name:
-            name = f"{instanced.name} in {name}"
+        name, own = source.original.name_full, instanced.original.name_full
+        if instance.is_instance and own != name:
+            name = f"{own} in {name}"
         if in_render is not None:
             # Geometry nodes and particles show instances of objects that are themselves hidden.
             from_nodes = instance.is_instance and source.instance_type == "NONE"
@@ -121,6 +121,7 @@ def visibility_state(depsgraph: "bpy.types.Depsgraph", space: "bpy.types.SpaceVi
             (
                 shown.name_full,
                 shown.original.indirect_only_get(view_layer=view_layer),
+                shown.original.holdout_get(view_layer=view_layer),
             )
             for shown in depsgraph.objects
             if shown.visible_in_viewport_get(space)
@@ -182,14 +183,23 @@ def evaluated_world(depsgraph: "bpy.types.Depsgraph") -> "bpy.types.World | None
 def unevaluated(depsgraph: "bpy.types.Depsgraph") -> "list[tuple[bpy.types.Object, SceneError]]":
     """Volumes and lights that are visible in renders but hidden in the viewport, and what to do about each.
 
-    Outside a render, Blender evaluates only what the viewport shows, so the image lacks them.
+    Outside a render, Blender evaluates what the viewport shows, and objects that only the eye of their collection
+    hides: the image lacks the others.
     """
     if depsgraph.mode == "RENDER":
         return []
+    hidden = [
+        candidate
+        for candidate in sorted(render_visible(depsgraph.view_layer), key=lambda one: one.name)
+        if _rendered_kind(candidate) and not candidate.visible_get(view_layer=depsgraph.view_layer)
+    ]
+    if not hidden:
+        return []
+    evaluated = {instance.object.original for instance in depsgraph.object_instances if not instance.is_instance}
     found = []
-    for candidate in sorted(render_visible(depsgraph.view_layer), key=lambda one: one.name):
-        kind = _rendered_kind(candidate)
-        if kind and not candidate.visible_get(view_layer=depsgraph.view_layer):
+    for candidate in hidden:
+        if candidate not in evaluated:
+            kind = _rendered_kind(candidate)
             problem = (
                 f'{kind} "{candidate.name}" is hidden in the viewport but not in renders; show it, '
                 "or hide it in renders too"

@@ -9,9 +9,12 @@ import bpy
 import numpy as np
 
 from ...inference.image.layer import Layer
+from ..runtime.text import reason
 from .layer_frame import rgba
 
 IMAGE_NAME = "MRPNN"
+# What every complete PNG file ends with.
+PNG_END = b"IEND\xaeB`\x82"
 
 
 def show_in_image(layer: Layer, name: str = IMAGE_NAME) -> bpy.types.Image:
@@ -62,15 +65,22 @@ def save_view_transformed(image: bpy.types.Image, path: str, scene: "bpy.types.S
     if hasattr(settings, "media_type"):
         wanted = {"media_type": "IMAGE", **wanted}
     before = {name: getattr(settings, name) for name in wanted}
-    with tempfile.TemporaryDirectory(prefix=".mrpnn-", dir=folder) as unfinished:
-        part = os.path.join(unfinished, "image.png")
-        try:
-            for name, value in wanted.items():
-                setattr(settings, name, value)
-            image.save_render(part, scene=scene)
-        except RuntimeError as error:
-            raise OSError(str(error)) from error
-        finally:
-            for name, value in before.items():
-                setattr(settings, name, value)
-        os.replace(part, path)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".mrpnn-", dir=folder) as unfinished:
+            part = os.path.join(unfinished, "image.png")
+            try:
+                for name, value in wanted.items():
+                    setattr(settings, name, value)
+                image.save_render(part, scene=scene)
+            finally:
+                for name, value in before.items():
+                    setattr(settings, name, value)
+            # Blender does not notice that a disk is full.
+            with open(part, "rb") as file:
+                if not file.read().endswith(PNG_END):
+                    raise OSError("the file is incomplete; is the disk full?")
+            os.replace(part, path)
+    except RuntimeError as error:
+        raise OSError(f"cannot write {path}: {reason(error)}") from error
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error.strerror or error}") from error

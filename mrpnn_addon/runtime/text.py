@@ -48,6 +48,11 @@ def report(reporter: Any, kind: str, text: object) -> None:
         print(f"MRPNN could not report to Blender ({error}): {safe_text(text)}", file=sys.stderr)
 
 
+def reason(error: RuntimeError) -> str:
+    """What Blender says of a function that failed, in one line."""
+    return str(error).strip().partition("\n")[0].removeprefix("Error: ")
+
+
 def label(layout: Any, text: object, icon: str = "NONE") -> None:
     """Draw a label in a panel."""
     layout.label(text=safe_text(text), icon=icon)

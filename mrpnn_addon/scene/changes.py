@@ -6,12 +6,33 @@ from typing import Any
 import bpy
 
 from ..nodes.material import LIGHT_MARK
+from ..objects.camera import film_exposure
 from ..runtime.text import text_of
 from ..settings.properties import scene_settings
 
 _HANDLERS = ("depsgraph_update_post", "frame_change_post", "load_post", "undo_post", "redo_post")
+# What a render depends on of a scene's render settings, besides its size.
+_RENDER_SETTINGS = (
+    "pixel_aspect_x",
+    "pixel_aspect_y",
+    "use_border",
+    "border_min_x",
+    "border_min_y",
+    "border_max_x",
+    "border_max_y",
+    "use_crop_to_border",
+    "use_motion_blur",
+    "motion_blur_shutter",
+    "use_multiview",
+    "use_simplify",
+)
+# A view layer's filters of what it shows, and how its collections show their objects.
+_FILTERS = "use", "use_volumes", "use_solid", "use_strand", "use_sky"
+_COLLECTION = "exclude", "holdout", "indirect_only", "hide_viewport"
 _changes = 0
 _volume_changes = 0
+# Addresses of the objects that view layers showed last, by the names of scene and layer.
+_visible: dict[tuple[str, str], frozenset[int]] = {}
 
 
 def volume_changes() -> int:
@@ -41,20 +62,44 @@ def scene_state(scene: "bpy.types.Scene") -> tuple:
         render.resolution_x,
         render.resolution_y,
         render.resolution_percentage,
-        render.use_border,
-        render.border_min_x,
-        render.border_min_y,
-        render.border_max_x,
-        render.border_max_y,
+        scene.frame_subframe,
+        film_exposure(scene),
+        *(getattr(render, name) for name in _RENDER_SETTINGS),
+        *(_layer_state(layer) for layer in scene.view_layers),
     )
+
+
+def _layer_state(layer: "bpy.types.ViewLayer") -> tuple:
+    """Of a view layer, what changes the scene alone when an artist changes it."""
+    own, found = [getattr(layer, name) for name in _FILTERS], []
+    below = [layer.layer_collection]
+    while below:
+        collection = below.pop()
+        below += collection.children
+        found.append(tuple(getattr(collection, name) for name in _COLLECTION))
+    return (text_of(layer, "name"), *own, *found)
+
+
+def _visibility_changed(depsgraph: "bpy.types.Depsgraph") -> bool:
+    """Whether a view layer shows other objects. Blender tells of an object that is hidden as of selection."""
+    layer = depsgraph.view_layer
+    visible = frozenset(
+        one.original.as_pointer()
+        for one in layer.objects
+        if one.visible_get(view_layer=layer) and not _is_baked_light(one)
+    )
+    key = text_of(depsgraph.scene, "name"), text_of(layer, "name")
+    known, _visible[key] = _visible.get(key, visible), visible
+    return known != visible
 
 
 @bpy.app.handlers.persistent
 def _changed(_scene: "bpy.types.Scene | None" = None, depsgraph: "bpy.types.Depsgraph | None" = None) -> None:
     global _changes, _volume_changes
     updates = None if depsgraph is None else [one for one in depsgraph.updates if not _is_baked_light(one.id)]
+    shows_others = depsgraph is not None and _visibility_changed(depsgraph)
     # Scene data-blocks change with every selection; `scene_state` includes their relevant properties.
-    if updates is not None and all(isinstance(update.id, bpy.types.Scene) for update in updates):
+    if updates is not None and all(isinstance(update.id, bpy.types.Scene) for update in updates) and not shows_others:
         return
     _changes += 1
     if updates is None or not all(map(keeps_volumes, updates)):

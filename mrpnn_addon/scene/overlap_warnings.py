@@ -26,9 +26,10 @@ def overlap_warnings(pairs: list[tuple[Volume, Medium]]) -> list[str]:
                 "Anisotropy for all of them"
             )
     if apart:
-        more = f", and {len(apart) - 1} more pairs" if len(apart) > 1 else ""
+        more = len(apart) - 1
+        others = f", and {more} more pair{'s' * (more > 1)}" if more else ""
         found.append(
-            f"volumes {_names(pairs, apart[0])} overlap and are of very different size{more}; multiple "
+            f"volumes {_names(pairs, apart[0])} overlap and are of very different size{others}; multiple "
             "scattering is predicted as if each were alone"
         )
     return found + _unlit(pairs, groups)

@@ -294,7 +294,7 @@ def _tell_empty(description: SceneDescription, objects: "Iterable[bpy.types.Obje
 
 def _why_dark(description: SceneDescription, objects: "Iterable[bpy.types.Object]") -> str:
     """Why a frame has no light, naming lights that are black or hidden."""
-    problems = [problem for problem in description.refused if problem != NO_LIGHT]
+    problems = [problem for problem in description.refused if problem not in (NO_LIGHT, *description.unseen)]
     problems += [f"{name} has no strength" for name in dict.fromkeys(light.name for light in description.lights)]
     lights = sorted({f'"{shown.name}"' for shown in objects if shown.type == "LIGHT"})
     problems += [text for text in description.warnings if text.endswith(" left out") and any(n in text for n in lights)]

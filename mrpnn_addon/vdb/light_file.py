@@ -26,7 +26,13 @@ MAX_HALF = 65504.0
 # Bytes of grids from which on another process writes them: no other Python thread, and so not Blender's interface,
 # goes on while OpenVDB writes.
 LARGE = 4 << 20
+# OpenVDB refuses transforms whose determinant is smaller: voxels of about a hundredth of a millimetre.
+LEAST_DETERMINANT = 3e-15
 PROGRAM = Path(__file__).with_name("writer.py")
+
+
+class TooSmall(Exception):
+    """Voxels that OpenVDB refuses."""
 
 
 def smooth_grids() -> list[str]:
@@ -47,7 +53,8 @@ def brightness(lit: LitVolume) -> float:
 def write_light(path: str, lit: LitVolume, scale: float) -> None:
     """Write the light, divided by `scale`, and its other directions. The file is complete or absent.
 
-    Raises OSError, naming the file, where it cannot be written, and SceneError without an OpenVDB module.
+    Raises TooSmall for voxels that OpenVDB refuses, OSError, naming the file, where it cannot be written, and
+    SceneError without an OpenVDB module.
     """
     # Density up to 1; the light that it scatters, with it, up to about 1.
     shown = lit.fine or lit
@@ -63,6 +70,8 @@ def write_light(path: str, lit: LitVolume, scale: float) -> None:
         grids += _coefficients(anchor_grids(factor), factor.anchors, shift)
         if factor.colours is not None:
             grids += _coefficients(COLOURS, factor.colours, np.float32(0.0))
+    if any(abs(np.linalg.det(np.array(grid.matrix)[:3, :3])) < LEAST_DETERMINANT for grid in grids):
+        raise TooSmall()
     unfinished = os.path.join(os.path.dirname(path), f".mrpnn-{secrets.token_hex(8)}.vdb")
     try:
         large = sum(grid.values.nbytes for grid in grids) > LARGE

@@ -9,6 +9,8 @@ the values of each grid, float32. Exit status 0 when the file is complete.
 
 import importlib.util
 import json
+import os
+import struct
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,8 +36,39 @@ class LightGrid:
 
 
 def write_grids(openvdb: Any, path: str, grids: Sequence[LightGrid]) -> None:
-    """Write a file. Raises OpenVDB's exceptions."""
+    """Write a file. Raises OpenVDB's exceptions, and OSError where the file is incomplete: OpenVDB does not notice that
+    a disk is full.
+    """
     openvdb.write(path, grids=[_grid(openvdb, one) for one in grids])
+    if not is_complete(path):
+        raise OSError("the file is incomplete; is the disk full?")
+
+
+def is_complete(path: str) -> bool:
+    """Whether a file that OpenVDB wrote is as long as it says."""
+    with open(path, "rb") as file:
+
+        def number(kind: str = "<I") -> int:
+            return int(struct.unpack(kind, file.read(struct.calcsize(kind)))[0])
+
+        def skip(times: int) -> None:
+            for _ in range(times):
+                file.seek(number(), os.SEEK_CUR)
+
+        try:
+            # Magic number, versions, whether grids have offsets, and the file's own identifier.
+            file.seek(8 + 3 * 4 + 1 + 36)
+            # Of each property of the file: name, type and value.
+            skip(3 * number())
+            end = 0
+            for _ in range(number()):
+                # Name, type and parent, and where the grid, its blocks and its end are.
+                skip(3)
+                _, _, end = number("<q"), number("<q"), number("<q")
+                file.seek(end)
+        except (struct.error, ValueError):
+            return False
+    return end == os.path.getsize(path)
 
 
 def _grid(openvdb: Any, written: LightGrid) -> Any:

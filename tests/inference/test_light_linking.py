@@ -91,3 +91,13 @@ def test_lights_of_some_overlapping_volumes_are_named():
     layer = picture([only(SUN, "left")], clouds(0.2))
     assert [text for text in layer.report.warnings if "key: it lights only some of left and right" in text]
     assert not picture([SUN], clouds(0.2)).report.warnings
+
+
+def test_many_overlapping_volumes_are_named_in_a_few_words():
+    """Instances share a name, and a scatter of clouds has hundreds."""
+    many = [
+        (volume.instance(volume.world_from_index, f"puff{n // 2}"), medium)
+        for n, (volume, medium) in enumerate(clouds(0.2) * 8)
+    ]
+    (warning,) = picture([only(SUN, "puff0")], many).report.warnings
+    assert "it lights only some of puff0 and 7 more, which overlap" in warning

@@ -196,6 +196,16 @@ def test_frames_are_written_to_the_patterns_files(command, blend):
             np.testing.assert_array_equal(again[name], values)
 
 
+@pytest.mark.parametrize(
+    "frames, expected",
+    [("-2", [-2]), ("-2..-1", [-2, -1]), ("-2--1", [-2, -1]), ("-1,1", [-1, 1]), ("-2-1:3", [-2, 1])],
+)
+def test_frames_may_be_negative(command, blend, frames, expected):
+    facts = blend.parent / "facts.json"
+    assert command(["render", "--output", "//new/a.exr", "--frames", frames, "--json", str(facts)]) == 0
+    assert [frame["frame"] for frame in json.loads(facts.read_text())["frames"]] == expected
+
+
 def test_lists_of_frames_and_their_files(addon):
     frames = addon.mrpnn_addon.output.frames
     assert frames.parse_frames("1-3, 7,2..4") == [1, 2, 3, 7, 4]

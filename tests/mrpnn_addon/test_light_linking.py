@@ -101,6 +101,23 @@ def test_instances_have_the_links_of_what_instances_them_or_their_own(addon, sce
     assert halves[0] == pytest.approx(halves[1], rel=0.08)
 
 
+def test_volumes_of_libraries_have_their_own_links_and_names(addon, scene, tmp_path, two):
+    """A file may hold objects of the same name, each from its own library."""
+    left, right, _, links = two
+    links.objects.link(left)
+    for name in ("first.blend", "second.blend"):
+        bpy.data.libraries.write(str(tmp_path / name), {left})
+        with bpy.data.libraries.load(str(tmp_path / name), link=True) as (_, loaded):
+            loaded.objects = ["Left"]
+        scene.collection.objects.link(loaded.objects[0])
+    scene.collection.objects.unlink(right)
+    described = read(addon)
+    names = [volume.name for volume, _ in described.volumes]
+    assert sorted(names) == ["Left", "Left [first.blend]", "Left [second.blend]"]
+    assert [name for name in names if described.lights[0].lights(name)] == ["Left"]
+    assert set(described.wanted.owners) == set(names)
+
+
 def test_lights_hidden_from_volumes_light_the_ground(addon, scene, two):
     _, _, sun, links = two
     sun.light_linking.receiver_collection = None

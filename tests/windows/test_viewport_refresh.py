@@ -89,6 +89,7 @@ CASES = {
     "a collection's eye": ("child.hide_viewport = True", "child.hide_viewport = False", (True, False)),
     "a collection's monitor": ("apart.hide_viewport = True", "apart.hide_viewport = False", (True, False)),
     "indirect light only": ("child.indirect_only = True", "child.indirect_only = False", (True, False)),
+    "a collection as holdout": ("child.holdout = True", "child.holdout = False", (True, False)),
     "the camera's rays": ("other.visible_camera = False", "other.visible_camera = True", (True, False)),
     "types of objects": (
         "space.show_object_viewport_volume = False",

@@ -48,6 +48,19 @@ def test_volumes_of_different_colour_channels_are_not_merged():
     assert overlapping([(one, red), (two, clear)]) == ([[0, 1]], [])
 
 
+def test_what_is_merged_does_not_depend_on_the_order_of_volumes():
+    rng, fog = np.random.default_rng(4), Medium(1.0)
+    for _ in range(40):
+        count = rng.integers(3, 12)
+        volumes = [ball(rng.uniform(0.0, 2.5, 3), rng.choice([0.1, 0.3, 0.9]), 8, name=f"{n}") for n in range(count)]
+        found = set()
+        for order in (np.arange(count), rng.permutation(count), np.arange(count)[::-1]):
+            groups, apart = overlapping([(volumes[v], fog) for v in order])
+            named = [{frozenset(order[list(members)].tolist()) for members in each} for each in (groups, apart)]
+            found.add(tuple(map(frozenset, named)))
+        assert len(found) == 1
+
+
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, 0.8, 0.3)])
 def test_merging_keeps_extinction_where_it_is(turn):
     """The merged density is the sum of both, at every point and in total."""

@@ -177,6 +177,54 @@ def test_only_what_has_changed_is_baked_again(addon, scene, cloud, tmp_path):
     assert [shown["mrpnn_light"] for shown in lights()] == ["Cloud"]
 
 
+@pytest.mark.parametrize("kind", ["SUN", "POINT", "SPOT", "AREA", "MESH"])
+def test_light_is_baked_again_where_links_of_lights_change(addon, scene, cloud, tmp_path, kind):
+    other, _ = blender_scenes.add_volume(scene, cloud.data.filepath, "Other", Density=5.0)
+    other.location.x = 4.0
+    if kind == "MESH":
+        bpy.ops.mesh.primitive_plane_add(location=(2.0, 0.0, -3.0))
+        light, glow = bpy.context.object, bpy.data.materials.new("Glow")
+        glow.use_nodes = True
+        glow.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 3.0
+        light.data.materials.append(glow)
+    else:
+        light = blender_scenes.add_object(scene, "Linked", bpy.data.lights.new("Linked", kind))
+        light.location = 2.0, 0.0, 3.0
+    keys = [light_keys_by_name()]
+    links = light.light_linking.receiver_collection = bpy.data.collections.new("Links")
+    # A mesh lights itself, too.
+    links.objects.link(light)
+    links.objects.link(cloud)
+    keys.append(light_keys_by_name())
+    assert keys[0]["Cloud"] == keys[1]["Cloud"] and keys[0]["Other"] != keys[1]["Other"]
+    links.objects.unlink(cloud)
+    links.objects.link(other)
+    keys.append(light_keys_by_name())
+    assert keys[0]["Cloud"] != keys[2]["Cloud"] and keys[0]["Other"] == keys[2]["Other"]
+
+
+def test_a_volume_too_small_for_its_file_is_named_and_the_others_are_baked(addon, scene, cloud, tmp_path, capfd):
+    """OpenVDB refuses transforms of tiny voxels."""
+    tiny, _ = blender_scenes.add_volume(scene, cloud.data.filepath, "Tiny", Density=1e5)
+    tiny.scale, tiny.location.x = (1e-5,) * 3, 0.1
+    other, _ = blender_scenes.add_volume(scene, cloud.data.filepath, "Small", Density=1e3)
+    other.scale, other.location.x = (1e-3,) * 3, 4.0
+    assert bake(tmp_path / "light") == {"FINISHED"}
+    said = "".join(capfd.readouterr())
+    assert 'volume "Tiny" is too small; scale the scene up' in said and '"Small" is' not in said
+    assert {shown["mrpnn_light"] for shown in lights()} == {"Cloud", "Small"}
+    assert all(shown.data.grids.load() for shown in lights())
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+
+
+def light_keys_by_name():
+    from mrpnn.mrpnn_addon.baking.content import light_keys, volume_names
+    from mrpnn.mrpnn_addon.scene.reader import read_scene
+
+    found = read_scene(blender_scenes.depsgraph())
+    return dict(zip(volume_names(found), light_keys(found, Settings())))
+
+
 def test_materials_have_few_nodes(addon, scene, cloud, tmp_path):
     """EEVEE compiles them for seconds, or minutes without a graphics card."""
     counts = []

@@ -105,6 +105,26 @@ def test_light_follows_changes_coarse_first(live, change):
     assert len(lights()) == 1 and all(os.path.exists(path) for path in (before, first, shown_file()))
 
 
+HIDE = {
+    "the lamp": lambda layer, lamp: lamp.hide_set(True),
+    "the lamp's collection": lambda layer, lamp: setattr(layer.layer_collection.children["Lamps"], "exclude", True),
+    "the World": lambda layer, lamp: setattr(layer, "use_sky", False),
+}
+
+
+@pytest.mark.parametrize("hide", HIDE)
+def test_light_follows_what_the_view_layer_shows(live, hide):
+    scene, lamps = bpy.context.scene, bpy.data.collections.new("Lamps")
+    scene.collection.children.link(lamps)
+    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamps.objects.link(lamp)
+    CHANGES["the World"]()
+    settle(live)
+    before = shown_file()
+    HIDE[hide](scene.view_layers[0], lamp)
+    until_shown(live, before)
+
+
 def test_the_final_light_is_that_of_a_bake(addon, live, tmp_path):
     settle(live)
     turn_sun(1.4)

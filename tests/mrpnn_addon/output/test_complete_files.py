@@ -2,6 +2,7 @@
 """Files are written completely or not at all: full disks, limits, unwritable folders, killed processes."""
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -12,9 +13,10 @@ import numpy as np
 import pytest
 
 # Before OpenEXR: its compiled libraries must come first.
-pytest.importorskip("bpy")
+bpy = pytest.importorskip("bpy")
 pytestmark = pytest.mark.blender
 
+from tests.support import blender_scenes
 from tests.support.exr_files import channels
 from tests.support.paths import ROOT
 
@@ -100,6 +102,70 @@ def test_a_read_only_disk_keeps_the_old_file(full_disk, write_exr):
     with pytest.raises(OSError, match="cannot write .*layer.exr: Read-only file system"):
         write_exr(str(path), PICTURE, {})
     assert path.read_bytes() == b"old" and os.listdir(full_disk) == ["layer.exr"]
+
+
+def fill(folder):
+    """Leave a few kilobytes of a disk."""
+    (folder / "other").write_bytes(bytes((1 << 20) - (4 << 10)))
+
+
+def bake_light(folder):
+    bpy.ops.mrpnn.bake_light(folder=str(folder / "light"), directional=True)
+
+
+def bake_animation(folder):
+    bpy.ops.mrpnn.bake_animation(folder=str(folder / "light"), directional=True)
+
+
+def command(*arguments):
+    def run(folder):
+        from mrpnn.operators.command import main
+
+        assert main([word.replace("DISK", str(folder)) for word in arguments]) == 1
+
+    return run
+
+
+# Ways to files, and the ending of the first of them.
+WAYS = {
+    "bake light": (bake_light, "vdb"),
+    "bake animation": (bake_animation, "vdb"),
+    "command bake": (command("bake", "--folder", "DISK/light"), "vdb"),
+    "command png": (command("render", "--output", "DISK/cloud.png"), "png"),
+    "command exr": (command("render", "--output", "DISK/cloud.exr"), "exr"),
+    "command flipbook": (command("flipbook", "--output", "DISK/cloud.exr", "--size", "256"), "exr"),
+    "saved bake": (
+        command("bake", "--no-directions", "--folder", "DISK/../light", "--save", "DISK/lit.blend"),
+        "blend",
+    ),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("is_read_only", [False, True], ids=["full", "read-only"])
+def test_a_full_or_read_only_disk_is_told_by_every_way_to_files(
+    addon, scene, tmp_path, full_disk, capfd, way, is_read_only
+):
+    """Libraries that write for us may not notice. What was there stays, and nothing is left."""
+    blender_scenes.cloud_scene(scene, tmp_path)
+    scene.render.resolution_x = scene.render.resolution_y = 160
+    scene.frame_end, scene.view_settings.view_transform = 1, "Standard"
+    call, ending = WAYS[way]
+    fill(full_disk)
+    if is_read_only:
+        subprocess.run(["mount", "-o", "remount,ro", full_disk], check=True)
+    before = sorted(path for path in full_disk.rglob("*") if path.is_file())
+    error = ""
+    try:
+        call(full_disk)
+    except RuntimeError as problem:
+        error = str(problem)
+    said = error + "".join(capfd.readouterr())
+    reason = "Read-only file system" if is_read_only else "No space left on device|incomplete|No such file"
+    made = "cannot make the folder .*light" if is_read_only and ending == "vdb" else f"cannot write .*[.]{ending}"
+    assert re.search(f"{made}.*: .*({reason})", said), said
+    assert "Traceback" not in said and "which is a bug" not in said
+    assert sorted(path for path in full_disk.rglob("*") if path.is_file()) == before
 
 
 @pytest.mark.parametrize("folder", ["/proc", "/nowhere/at/all"])

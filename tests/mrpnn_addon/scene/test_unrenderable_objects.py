@@ -206,6 +206,16 @@ def test_each_of_several_invalid_volumes_is_named_with_its_reason(addon, scene, 
         assert said in message
 
 
+def test_a_black_frame_names_lights_alone(addon, scene, cloud, tmp_path):
+    """A volume that is left out as well is no reason for the darkness of others."""
+    missing_file(scene, tmp_path)
+    scene.objects["Sun"].hide_render = True
+    found = addon.mrpnn_addon.scene.reader.read_frame(blender_scenes.depsgraph())
+    (black,) = [warning for warning in found.warnings if "is black" in warning]
+    assert '"Sun" is hidden' in black and '"Second"' not in black
+    assert any('"Second"' in warning and "(left out)" in warning for warning in found.warnings)
+
+
 def test_instances_of_an_invalid_volume_are_named_once(addon, scene, cloud, tmp_path):
     missing_file(scene, tmp_path)
     group, second = bpy.data.collections.new("Group"), scene.objects["Second"]

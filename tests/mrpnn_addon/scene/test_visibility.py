@@ -50,6 +50,26 @@ def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, wo
     assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
 
 
+@pytest.mark.parametrize("name", ["Second", "Sun"])
+def test_what_the_eye_of_a_collection_hides_is_rendered_as_by_f12(addon, scene, two, name):
+    """Blender evaluates it all the same."""
+    _, layer = two
+    layer.collection.objects.link(scene.objects["Sun"])
+    scene.collection.objects.unlink(scene.objects["Sun"])
+    before = read(addon)
+    layer.hide_viewport = True
+    found = read(addon)
+    assert [volume.name for volume, _ in found.volumes] == [volume.name for volume, _ in before.volumes]
+    assert [light.name for light in found.lights] == [light.name for light in before.lights]
+    assert found.warnings == before.warnings
+    # What its own eye hides is not, though another object instances it.
+    scene.objects[name].hide_set(True)
+    shown = blender_scenes.add_object(scene, "Instance", None)
+    shown.instance_type, shown.instance_collection = "COLLECTION", layer.collection
+    with pytest.raises(ValueError, match=f'"{name}" is hidden in the viewport'):
+        read(addon)
+
+
 def instanced(scene, how):
     """The fog of the scene, shown by another object; gives both."""
     bpy.ops.mesh.primitive_cube_add(size=1.0)
