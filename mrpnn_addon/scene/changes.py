@@ -81,26 +81,36 @@ def _layer_state(layer: "bpy.types.ViewLayer") -> tuple:
 
 
 def _visibility_changed(depsgraph: "bpy.types.Depsgraph") -> bool:
-    """Whether a view layer shows other objects. Blender tells of an object that is hidden as of selection."""
+    """Whether a view layer shows other objects than when this was last asked of it."""
     layer = depsgraph.view_layer
     visible = frozenset(
         one.original.as_pointer()
         for one in layer.objects
         if one.visible_get(view_layer=layer) and not _is_baked_light(one)
     )
-    key = text_of(depsgraph.scene, "name"), text_of(layer, "name")
+    key = _layer_key(depsgraph)
     known, _visible[key] = _visible.get(key, visible), visible
     return known != visible
+
+
+def _layer_key(depsgraph: "bpy.types.Depsgraph") -> tuple[str, str]:
+    return text_of(depsgraph.scene, "name"), text_of(depsgraph.view_layer, "name")
 
 
 @bpy.app.handlers.persistent
 def _changed(_scene: "bpy.types.Scene | None" = None, depsgraph: "bpy.types.Depsgraph | None" = None) -> None:
     global _changes, _volume_changes
     updates = None if depsgraph is None else [one for one in depsgraph.updates if not _is_baked_light(one.id)]
-    shows_others = depsgraph is not None and _visibility_changed(depsgraph)
-    # Scene data-blocks change with every selection; `scene_state` includes their relevant properties.
-    if updates is not None and all(isinstance(update.id, bpy.types.Scene) for update in updates) and not shows_others:
-        return
+    if depsgraph is None:
+        # Another file may have objects at the same addresses.
+        _visible.clear()
+    elif updates is not None:
+        # Scene data-blocks change with every selection; `scene_state` includes their relevant properties. An object
+        # that is hidden changes nothing else. It takes long to look at ten thousand objects in other updates, too.
+        selected = all(isinstance(update.id, bpy.types.Scene) for update in updates)
+        shows_others = (selected or _layer_key(depsgraph) not in _visible) and _visibility_changed(depsgraph)
+        if selected and not shows_others:
+            return
     _changes += 1
     if updates is None or not all(map(keeps_volumes, updates)):
         _volume_changes += 1
