@@ -6,7 +6,7 @@ import bpy
 from ..mrpnn_addon.baking import baked_scene, compiling, live
 from ..mrpnn_addon.engine import engine
 from ..mrpnn_addon.output import composite as composite_scene
-from ..mrpnn_addon.runtime import shutdown
+from ..mrpnn_addon.runtime import redraw, shutdown
 from ..mrpnn_addon.scene import changes
 from ..mrpnn_addon.settings import flipbook as flipbook_settings
 from ..mrpnn_addon.settings import properties, view_layer
@@ -27,6 +27,7 @@ MODULES = (
     compiling,
     live,
     calibration,
+    redraw,
     shutdown,
 )
 CLASSES = (

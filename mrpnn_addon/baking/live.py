@@ -17,6 +17,7 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..runtime.atomic_write import make_folder
+from ..runtime.redraw import redraw_panels
 from ..runtime.session_folder import SessionFolder, remove_leftovers
 from .baked_scene import light_state, set_file
 from .light_folder import FOLDER, is_within, light_folder
@@ -123,10 +124,7 @@ def _redraw() -> None:
     if statuses == _statuses:
         return
     _statuses[:] = statuses
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "PROPERTIES":
-                area.tag_redraw()
+    redraw_panels()
 
 
 def _switched(_scene: "bpy.types.Scene", _context: "bpy.types.Context") -> None:

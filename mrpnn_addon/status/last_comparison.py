@@ -4,6 +4,8 @@
 from pathlib import Path
 from typing import Any
 
+from ..runtime.redraw import redraw_panels
+
 _last: tuple[Any, Path] | None = None
 
 
@@ -11,6 +13,7 @@ def remember(comparison: Any, page: Path) -> None:
     """Store a `comparison.results.Comparison` and the path of its report."""
     global _last
     _last = comparison, page
+    redraw_panels()
 
 
 def forget() -> None:

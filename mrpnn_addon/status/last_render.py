@@ -6,6 +6,7 @@ from typing import Protocol
 
 from ...inference.image.layer import Layer
 from ..objects.workload import Workload
+from ..runtime.redraw import redraw_panels
 from .calibration import calibrate_by
 
 
@@ -40,6 +41,7 @@ def remember(last: LastRender) -> None:
     """Store a render until the next render or another file."""
     global _last
     _last = last
+    redraw_panels()
 
 
 def remember_finished(finished: Finished) -> None:

@@ -314,6 +314,29 @@ def test_f12_renders_and_esc_stops(window):
     window.until(f"not {THREADS}")
 
 
+def test_panels_show_the_last_render_as_soon_as_it_ends(window):
+    """Of F12 without a window of its own; the mouse stands still, elsewhere."""
+    window.do(
+        "import sys; last = next(m for n, m in sys.modules.items() if n.endswith('mrpnn_addon.status.last_render'))\n"
+        "area('PROPERTIES').spaces.active.context = 'RENDER'\n"
+        "view = bpy.context.preferences.view; display = view.render_display_type; view.render_display_type = 'NONE'\n"
+        "last.remember(last.LastRender(seconds=5000.0)); area('PROPERTIES').tag_redraw()"
+    )
+    try:
+        before = window.shot("last-render-before", window.box("PROPERTIES")).astype(int)
+        window.press("96")
+        window.until("last.last_render().seconds < 5000.0")
+        window.until(f"not {RENDERING}")
+        start = time.monotonic()
+        while True:
+            after = window.shot("last-render-after", window.box("PROPERTIES")).astype(int)
+            if (np.abs(after - before).max(axis=2) > 60).sum() > 20:
+                break
+            assert time.monotonic() - start < 20.0, "the panel shows the render before"
+    finally:
+        window.do("view.render_display_type = display")
+
+
 # A sky with its sun instead of the lamp, and back again.
 SKY = """
 world, lamp = bpy.context.scene.world, bpy.data.objects["Sun"]
