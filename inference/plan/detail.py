@@ -9,7 +9,7 @@ import numpy as np
 
 from ..models.abilities import abilities
 from ..scene.camera import Camera
-from ..scene.camera_rays import pixel_size
+from ..scene.camera_rays import pixel_size, windows_around
 from ..scene.description import Medium, Volume
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
@@ -66,6 +66,19 @@ def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settin
             small = (cells * 2**n <= limits[0]) & (depths * 2**n <= limits[1])
             octaves += small & groups_of_kind
     return octaves.tolist()
+
+
+def seen_groups(groups: Sequence[Members], camera: Camera, settings: Settings) -> list[bool]:
+    """Whether the picture may show a volume of each group (G,): what the others scatter reaches no pixel.
+
+    With a lens or a shutter, all count as seen.
+    """
+    if not groups or camera.lens or camera.shutter or "level_of_detail" not in settings.optimizations:
+        return [True] * len(groups)
+    windows = windows_around(camera, box_corners([volume for members in groups for volume, _ in members]))
+    seen = (windows[:, 2:] > windows[:, :2]).all(axis=1)
+    found: list[bool] = np.logical_or.reduceat(seen, np.cumsum([0, *map(len, groups)])[:-1]).tolist()
+    return found
 
 
 def once_per_ray(groups: Sequence[Members], coarser: Sequence[int], camera: Camera, settings: Settings) -> list[bool]:

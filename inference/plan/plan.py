@@ -20,7 +20,7 @@ from ..scene.mesh_light import MeshLight
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .coarser import fitting_volumes
-from .detail import box_corners, coarser_light, coarser_shadows, once_per_ray
+from .detail import box_corners, coarser_light, coarser_shadows, once_per_ray, seen_groups
 from .joined_lamps import joined_lamps
 from .lights import (
     PredictedSun,
@@ -345,15 +345,16 @@ def plan_tiles(
     rendered = scene.volumes
     shadows = coarser_shadows(rendered, camera, settings)
     memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns, shadows)
-    memory += sum(len(group) > 1 for group in scene.groups) * MERGED_BYTES
-    groups = [[rendered[v][0] for v in group] for group in scene.groups]
-    coarser = coarser_light(scene.members, bool(lights.lamps), camera, settings)
+    members = [of for of, seen in zip(scene.members, seen_groups(scene.members, camera, settings)) if seen]
+    memory += sum(len(group) > 1 for group in members) * MERGED_BYTES
+    groups = [[volume for volume, _ in group] for group in members]
+    coarser = coarser_light(members, bool(lights.lamps), camera, settings)
     memory += field_bytes(groups, coarser, len(suns) + len(lights.lamps), lights.from_everywhere)
     if lights.sky:
         # That of surfaces, and that which they hide in places.
         memory += 2 * SKY_BYTES
     memory += sum(lamp_bytes(volume, lights.lamps) for volume, _ in rendered)
-    memory += len(scene.groups) * len(suns) * abilities(settings.model).light_bytes
+    memory += len(groups) * len(suns) * abilities(settings.model).light_bytes
     depth_samples = settings.depth_samples * (settings.most_detail if lights.lamps and lights.predicts_lamps else 1)
     overlapping = max(map(len, scene.groups), default=1)
     ray = ray_bytes(depth_samples, overlapping, len(suns) + len(lights.lamps))
@@ -394,8 +395,13 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
     channels = _channel_groups(scene.volumes, settings)
     if len(channels) == 1:
         left_out.append("two of three color channels: extinction is gray")
-    multiple, scattered_emission = [], []
-    for members in scene.members:
+    multiple, scattered_emission, unseen = [], [], 0
+    for members, seen in zip(scene.members, seen_groups(scene.members, camera, settings)):
+        if not seen:
+            multiple.append(False)
+            scattered_emission.append(False)
+            unseen += len(members)
+            continue
         directed = [*bright, *(lights.lamps if lights.predicts_lamps else ())]
         linked = lights.from_everywhere or bool(linking(directed, [volume.name for volume, _ in members]).any())
         predicted, scattered = _plan_group(members, linked, settings, planned, left_out)
@@ -403,6 +409,8 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         predicted |= lights.from_everywhere and _scatters(members, settings)
         multiple.append(predicted)
         scattered_emission.append(scattered)
+    if unseen:
+        left_out.append(f"light that volumes outside the picture scatter more than once: {unseen}")
     coarser = coarser_light(scene.members, bool(lights.lamps), camera, settings)
     tiles, memory = plan_tiles(scene, lights, suns, camera, settings)
     if len(tiles) > 1:

@@ -6,16 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference import Environment, Medium, Settings, Sun, Volume, render
+from inference import Environment, Medium, PointLight, Settings, Sun, Volume, render
 from inference.features.density_reader import SHARED_RANGE, DensityReader
 from inference.features.mip_lattices import density_lattices
 from inference.grids.grid import Grid
 from inference.grids.working_cube import fit_cube
 from inference.network.network import load_network
 from inference.numerics.interpolation import halved_means
-from inference.plan.detail import LARGER_CELLS, coarser_light, coarser_shadows, once_per_ray
+from inference.plan.detail import LARGER_CELLS, coarser_light, coarser_shadows, once_per_ray, seen_groups
 from inference.plan.plan import make_plan
 from inference.runtime.tasks import SERIAL
+from inference.scene.errors import SceneError
 from inference.scene.sparse_grid import SparseGrid
 from tests.support.volumes import SUN, camera, cloud
 
@@ -59,6 +60,48 @@ def test_cells_grow_with_the_distance_and_never_where_the_camera_is_near():
     assert thicker[1] > 2 * thicker[0]
     # A network that knows suns alone has cells of its own.
     assert light(views[-1], settings=replace(SETTINGS, model="paper")) == 0
+
+
+def moved(shift, factor=1.0):
+    """The cloud elsewhere; another one if its density has another factor."""
+    frame = CLOUD.world_from_index.copy()
+    frame[:3, 3] += shift
+    return Volume(CLOUD.density * np.float32(factor), frame, f"cloud {factor:g}")
+
+
+@pytest.mark.parametrize(
+    "lights", [[SUN], LIGHTS, [PointLight((0.0, 2.5, 0.0), 60.0, 0.05)]], ids=["sun", "sky", "lamp"]
+)
+def test_light_that_volumes_outside_the_picture_scatter_is_not_computed(lights):
+    """They shade what is in the picture all the same, whatever they scatter."""
+    view = camera(3.0, resolution=(48, 32))
+    shading = SUN.direction * 8.0 if lights[0] is SUN else np.array([0.0, 1.4, 0.0])
+    others = [moved(shading, 1.1), moved([0.0, 0.0, 9.0], 1.2), moved([30.0, 0.0, 0.0], 1.3)]
+    seen = seen_groups([[(one, MEDIUM)] for one in others], view, SETTINGS)
+    assert seen[1:] == [False, False] and (lights[0] is not SUN or not seen[0])
+    pairs = [(CLOUD, MEDIUM), *((one, MEDIUM) for one in others)]
+    black = [(CLOUD, MEDIUM), *((one, replace(MEDIUM, albedo=np.zeros(3))) for one in others[1:])]
+    if lights[0] is SUN:
+        plan = make_plan(pairs, lights, view, SETTINGS)
+        assert plan.multiple == [True, False, False, False] and any("outside the picture" in x for x in plan.left_out)
+        black.insert(1, (others[0], replace(MEDIUM, albedo=np.zeros(3))))
+        assert change(render(pairs, lights, view, SETTINGS), render(pairs[:1], lights, view, SETTINGS)) > 0.01
+    else:
+        black.insert(1, pairs[1])
+    # Light paths that correct a sky's brightness go through all volumes.
+    limit = 1e-3 if len(lights) > 1 else 0.0
+    assert change(render(pairs, lights, view, SETTINGS), render(black, lights, view, SETTINGS)) <= limit
+
+
+def test_volumes_outside_the_picture_need_little_memory():
+    view = camera(3.0, resolution=(48, 32))
+    behind = [(moved([0.0, 3.0 * n, 9.0], 1.0 + 0.01 * n), MEDIUM) for n in range(100)]
+    pairs, limit = [(CLOUD, MEDIUM), *behind], 1 << 40
+    own, whole = (make_plan(pairs, [SUN], view, replace(some, memory_limit=limit)).memory for some in (SETTINGS, WHOLE))
+    assert own < 0.25 * whole
+    make_plan(pairs, [SUN], view, SETTINGS)
+    with pytest.raises(SceneError):
+        make_plan(pairs, [SUN], view, replace(WHOLE, memory_limit=whole // 2))
 
 
 def test_volumes_and_groups_are_told_apart():
