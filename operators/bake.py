@@ -211,9 +211,14 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         for warning in dict.fromkeys(warnings):
             report(self, "WARNING", warning)
         warn_of_temporary(self, self.folder)
-        what = f"baked the light of {len(self._seconds)} of {len(frames)} frames; the others have not changed"
+        what = f"baked the light of {len(self._seconds)} of {len(frames)} frames"
         if len(self._seconds) == len(frames):
             what = f"baked the light of {len(frames)} frames"
+        empty = sum(not one.volumes for one in frames)
+        if unchanged := len(frames) - empty - len(self._seconds):
+            what += f"; {unchanged} {'has' if unchanged == 1 else 'have'} not changed"
+        if empty:
+            what += f"; {empty} {'shows' if empty == 1 else 'show'} no volume"
         if shows_light:
             report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
         else:
