@@ -103,9 +103,12 @@ def test_a_thousand_instances_need_little_more_memory_than_one():
         make_plan(apart, lights, VIEW, settings)
 
 
-def test_instances_of_other_media_need_no_more_memory_than_planned():
+@pytest.mark.parametrize("overlap", [False, True])
+def test_instances_need_what_is_planned(overlap):
+    """Of other media, and in overlapping pairs, each of which is merged."""
     media = [Medium(20.0 + n, 0.9 - 0.02 * n, 0.1 * n) for n in range(8)]
-    pairs = [(at((1.3 * n - 4.5, 0.0, 0.0)), medium) for n, medium in enumerate(media)]
+    places = [2.6 * (n // 2) + 0.7 * (n % 2) - 4.5 if overlap else 1.3 * n - 4.5 for n in range(len(media))]
+    pairs = [(at((x, 0.0, 0.0)), media[0] if overlap else medium) for x, medium in zip(places, media)]
     lights, settings, view = [Sun((0.4, 0.3, 0.8), 2.0)], Settings(threads=2), camera(12.0, resolution=(60, 12))
     tracemalloc.start()
     try:
@@ -113,7 +116,9 @@ def test_instances_of_other_media_need_no_more_memory_than_planned():
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert most < make_plan(pairs, lights, view, settings).memory
+    plan = make_plan(pairs, lights, view, settings)
+    assert len(plan.groups) == (4 if overlap else 8)
+    assert most < plan.memory < 2.5 * most
 
 
 @pytest.mark.parametrize("coloured", [False, True])
