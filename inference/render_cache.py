@@ -156,10 +156,10 @@ class RenderCache:
                 self._predictors.pop(number, None)
                 bounds = grids[0].voxels.filled if len(grids) == 1 else None
                 cube = fit_cube(volume, bounds)
-                key = id(network), medium.anisotropy, volume.voxels_key, cube.in_voxels(volume)
-                like = self._instances.get(key)
+                key = id(network), volume.voxels_key, cube.in_voxels(volume)
+                like = self._instances.get((*key, medium.anisotropy), self._instances.get(key))
                 known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, like, coarser)
-                self._predictors[number] = self._instances[key] = known
+                self._predictors[number] = self._instances[*key, medium.anisotropy] = self._instances[key] = known
             return ScatteringGroup(volume, medium, known)
 
     def joined(

@@ -14,6 +14,7 @@ from ..mrpnn_addon.baking.bake_job import BakedScene, BakeJob, BakeTarget, bake_
 from ..mrpnn_addon.baking.baked_scene import (
     baked_keys,
     chooses_ray_marching,
+    light_of_libraries,
     light_state,
     remove_light,
     show_light,
@@ -117,7 +118,7 @@ class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
         """Show the light."""
         baked = self._baked
         show_light(context.scene, baked)
-        for warning in baked.warnings + bake_warnings(self._description):
+        for warning in [*baked.warnings, *bake_warnings(self._description), *light_of_libraries(context.scene)]:
             report(self, "WARNING", warning)
         warn_of_temporary(self, self.folder)
         if not baked.names:
@@ -206,12 +207,18 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         shows_light = any(one.volumes for one in frames)
         if shows_light:
             show_sequence(context.scene, frames)
-        for warning in dict.fromkeys(warning for one in frames for warning in one.warnings):
+        warnings = [warning for one in frames for warning in one.warnings] + light_of_libraries(context.scene)
+        for warning in dict.fromkeys(warnings):
             report(self, "WARNING", warning)
         warn_of_temporary(self, self.folder)
-        what = f"baked the light of {len(self._seconds)} of {len(frames)} frames; the others have not changed"
+        what = f"baked the light of {len(self._seconds)} of {len(frames)} frames"
         if len(self._seconds) == len(frames):
             what = f"baked the light of {len(frames)} frames"
+        empty = sum(not one.volumes for one in frames)
+        if unchanged := len(frames) - empty - len(self._seconds):
+            what += f"; {unchanged} {'has' if unchanged == 1 else 'have'} not changed"
+        if empty:
+            what += f"; {empty} {'shows' if empty == 1 else 'show'} no volume"
         if shows_light:
             report(self, "INFO", f"{what}; {changed_settings(context.scene)}")
         else:

@@ -106,6 +106,10 @@ class Predictor(Protocol):
         """The same for another instance of the volume, whose working cube lies alike in its voxels."""
         return self
 
+    def with_anisotropy(self, cube: Cube, anisotropy: float) -> "Predictor | None":
+        """As `at`, for a medium of another anisotropy; None where both would share nothing."""
+        return None
+
 
 class PreparedPrediction(Protocol):
     """Predictions under certain conditions. Immutable and safe on several threads."""

@@ -24,7 +24,7 @@ from ..transport.scattered_fluence import ScatteredFluence
 from .albedos import Albedos, UniformAlbedos, VaryingAlbedos
 from .conditions import Conditions, PlacedLight, PredictedLight
 from .environment_network import EnvironmentNetwork, PreparedEnvironment
-from .interfaces import System
+from .interfaces import Predictor, System
 from .placed_lights import PlacedSkies
 from .prepared_predictors import NearbyPredictor, PreparedPredictor, RadiancePredictor
 from .ray_predictor import RayPredictor
@@ -45,7 +45,8 @@ class VolumePredictor:
     """A network with what it reads of one volume, for any extinction and sun.
 
     network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
-    cube: of `fit_cube`, where it is known. like: of another instance of the same voxels, whose cube lies alike in them.
+    cube: of `fit_cube`, where it is known. like: of another instance of the same voxels, whose cube lies alike in them,
+    perhaps of another anisotropy.
     coarser: octaves by which cells of the coarse transport are larger than usual; 0 for networks that know suns alone.
     Safe on several threads. Raises Cancelled.
 
@@ -70,12 +71,13 @@ class VolumePredictor:
         self.extent = extent(volume, self.cube)
         self.anisotropy = float(np.clip(anisotropy, *network.anisotropy_range))
         self.coarser = coarser
-        if like is None:
-            self._voxels: object = object()
-            self._predictor = network.predictor(volume, self.cube, self.anisotropy, cancel)
-        else:
-            self._voxels, self._predictor = like._voxels, like._predictor.at(self.cube)
-        if coarser != (0 if like is None else like.coarser):
+        before, self._voxels, predictor = 0, object(), None
+        if like is not None and like.anisotropy == self.anisotropy:
+            before, self._voxels, predictor = like.coarser, like._voxels, like._predictor.at(self.cube)
+        elif like is not None:
+            predictor = like._predictor.with_anisotropy(self.cube, self.anisotropy)
+        self._predictor: Predictor = predictor or network.predictor(volume, self.cube, self.anisotropy, cancel)
+        if coarser != before:
             self._predictor = self._every_light.coarsened(coarser)
         self._lock = threading.Lock()
         # The last of each class of light.

@@ -163,6 +163,17 @@ class RayPredictor(Predictor):
         self.density.readers.add(instance)
         return instance
 
+    def with_anisotropy(self, cube: Cube, anisotropy: float) -> "RayPredictor":
+        """As of Predictor. They share the density, and no light."""
+        instance = copy.copy(self)
+        instance.cube, instance.anisotropy = cube, anisotropy
+        instance._sharing = {0: _Instances(self.density, 0)}
+        instance._shared = instance._sharing[0]
+        instance._shared.many = True
+        instance._forget()
+        self.density.readers.add(instance)
+        return instance
+
     def coarsened(self, coarser: int) -> "RayPredictor":
         """The same on cells of the coarse transport that are so many octaves larger than usual."""
         with self._lock:

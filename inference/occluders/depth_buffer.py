@@ -19,7 +19,7 @@ from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.camera import Camera
 from ..scene.camera_rays import pixel_rays
 from ..scene.description import Surface
-from .rasterization import rasterize_nearest
+from .rasterization import batches, rasterize_nearest
 
 #: Sample points per axis and pixel.
 SAMPLES = 4
@@ -39,15 +39,16 @@ class DepthBuffer:
         self.camera = camera
         # Every camera shows only what lies beyond its near clipping plane.
         eye, farthest = camera.world_matrix[:3, 3], 0.0
-        for surface in surfaces:
+        joined = list(batches([surface.triangles for surface in surfaces]))
+        for triangles in joined:
             cancel.check()
-            farthest = max(farthest, np.abs(surface.triangles - eye).max(initial=0.0))
+            farthest = max(farthest, np.abs(triangles - eye).max(initial=0.0))
         closest = max(camera.clip[0], CLOSEST * farthest)
         self.extent = 2.0 * np.tan(0.5 * camera.fov)
-        projected = [self._project(surface.triangles - eye, closest, cancel) for surface in surfaces]
+        projected = [self._project(triangles - eye, closest, cancel) for triangles in joined]
         self.corners, self.value, number = (np.concatenate(arrays) for arrays in zip(*projected))
         # Number of each triangle among those of all surfaces.
-        begin = np.cumsum([0, *(len(surface.triangles) for surface in surfaces[:-1])])
+        begin = np.cumsum([0, *map(len, joined[:-1])])
         self.number = number + np.repeat(begin, [len(arrays[2]) for arrays in projected])
         # Pixels that each triangle may reach, so that small windows skip most triangles.
         self.low, self.high = self.corners.min(axis=1) - 1.0, self.corners.max(axis=1) + 1.0

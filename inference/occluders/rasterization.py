@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rasterization of triangles onto a regular grid of sample points."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -12,6 +12,19 @@ from ..runtime.cancellation import NEVER, CancelToken
 PAIRS_PER_BATCH, PAIRS_PER_CALL = 1 << 18, 1 << 22
 # Pairs from which on triangles are taken from the nearest to the farthest, and hidden ones left out.
 MANY_PAIRS = 4 * PAIRS_PER_BATCH
+# Triangles of small surfaces that are taken together: each call of numpy takes as long as thousands of triangles.
+TRIANGLES_PER_BATCH = 1 << 15
+
+
+def batches(surfaces: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+    """Triangles (T, 3, 3) of surfaces in their order, those of small surfaces joined, without copies of large ones."""
+    ends = np.cumsum([len(triangles) for triangles in surfaces])
+    begin = 0
+    while begin < len(surfaces):
+        before = ends[begin - 1] if begin else 0
+        end = max(int(np.searchsorted(ends, before + TRIANGLES_PER_BATCH, side="right")), begin + 1)
+        yield np.concatenate(surfaces[begin:end]) if end - begin > 1 else surfaces[begin]
+        begin = end
 
 
 def rasterize_nearest(

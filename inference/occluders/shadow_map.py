@@ -9,7 +9,7 @@ import numpy as np
 from ..numerics.intersection import box_interval
 from ..numerics.small_matmul import inverse, product
 from ..runtime.cancellation import NEVER, CancelToken
-from .rasterization import rasterize_nearest
+from .rasterization import batches, rasterize_nearest
 
 #: Cells along the longer side of the volumes, as seen from the sun.
 CELLS = 1024
@@ -49,7 +49,7 @@ class ShadowMap:
         self.offset = -low / [cell, cell, 1.0] - [0.5, 0.5, 0.0]
         size = np.maximum(np.ceil((high - low)[:2] / cell), 1).astype(int)
         heights = np.full(size[::-1], -np.inf)
-        for triangles in surfaces:
+        for triangles in batches(surfaces):
             projected = product(triangles, self.linear.T) + self.offset
             highest, _ = rasterize_nearest(projected[..., :2], projected[..., 2], size, cancel)
             np.maximum(heights, highest, out=heights)

@@ -24,8 +24,8 @@ ENVIRONMENT_BYTES = 8 * LEVEL0_CELLS**3
 SKY_BYTES = 3 * LEVEL0_CELLS**3
 # Bytes per voxel of the grid itself, and of the optical depth towards each sun.
 VOXEL_BYTES, VOXEL_SUN_BYTES = 16, 5
-# Bytes of overlapping volumes merged into one medium.
-MERGED_BYTES = 12 * LEVEL0_CELLS**3
+# Bytes per voxel of overlapping volumes merged into one medium.
+MERGED_BYTES = 12
 # Bytes per voxel of emission.
 VOXEL_EMISSION_BYTES = 24
 # Bytes per voxel of an albedo that varies, in each of its channels.
@@ -90,10 +90,22 @@ def field_bytes(groups: Sequence[Sequence[Volume]], coarser: Sequence[int], ligh
     return FIELD_BYTES + environments + further
 
 
+def merged_bytes(volumes: Sequence[Volume], corners: np.ndarray) -> int:
+    """Bytes of overlapping volumes that `merge` makes one of; corners: (V, 8, 3), of their boxes in the world."""
+    voxels = [volume.world_from_index[:3, :3] / _refined(volume) for volume in volumes]
+    finest = min(voxels, key=lambda voxel: float(np.linalg.norm(voxel, axis=0).min()))
+    edges = np.ptp(corners.reshape(-1, 3) @ inverse(finest).T, axis=0) + 2.0
+    return int(MERGED_BYTES * np.ceil(edges / max(edges.max() / LEVEL0_CELLS, 1.0)).prod())
+
+
+def _refined(volume: Volume) -> int:
+    """Factor by which the grid of a volume is refined along each axis."""
+    return 1 if isinstance(volume.density, SparseGrid) else refinement(volume.density.shape)
+
+
 def lamp_bytes(volume: Volume, lamps: list[Lamp]) -> int:
     """Bytes of the optical depths in a volume towards lamps, at most."""
-    edge = min(max(volume.density.shape) * (1 if isinstance(volume.density, SparseGrid) else
-                                            refinement(volume.density.shape)), LAMP_EDGE)  # fmt: skip
+    edge = min(max(volume.density.shape) * _refined(volume), LAMP_EDGE)
     # Three of six pyramids of a lamp in the middle are a cube of columns; those of several emitters have fewer. The
     # mean of their depths at voxels is another cube.
     return len(lamps) * 4 * 4 * edge**3

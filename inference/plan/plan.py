@@ -37,11 +37,11 @@ from .lights import (
 )
 from .memory import (
     IMAGE_BYTES,
-    MERGED_BYTES,
     SKY_BYTES,
     field_bytes,
     grids_bytes,
     lamp_bytes,
+    merged_bytes,
     ray_bytes,
 )
 from .overlap import group_name, overlapping
@@ -346,8 +346,8 @@ def plan_tiles(
     shadows = coarser_shadows(rendered, camera, settings)
     memory = grids_bytes([(volume, emits(volume, medium)) for volume, medium in rendered], suns, shadows)
     members = [of for of, seen in zip(scene.members, seen_groups(scene.members, camera, settings)) if seen]
-    memory += sum(len(group) > 1 for group in members) * MERGED_BYTES
     groups = [[volume for volume, _ in group] for group in members]
+    memory += sum(merged_bytes(group, box_corners(group)) for group in groups if len(group) > 1)
     coarser = coarser_light(members, bool(lights.lamps), camera, settings)
     memory += field_bytes(groups, coarser, len(suns) + len(lights.lamps), lights.from_everywhere)
     if lights.sky:

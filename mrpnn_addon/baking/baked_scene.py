@@ -53,8 +53,18 @@ def light_state(scene: "bpy.types.Scene") -> MRPNN_PG_light:
 
 
 def baked_keys(scene: "bpy.types.Scene") -> dict[str, str]:
+    """Content keys of what is baked and still there, by volume; without what another scene shows, too."""
+    return {name: key for name, key in _keys(scene).items() if _is_own(light_state(scene).volumes[name].shown)}
+
+
+def _keys(scene: "bpy.types.Scene") -> dict[str, str]:
     """Content keys of what is baked and still there, by volume."""
     return {item.name: item.key for item in light_state(scene).volumes if _is_there(scene, item.shown)}
+
+
+def _is_own(shown: "bpy.types.Object") -> bool:
+    """Whether one scene alone shows an object's light. A copy of a scene shares it, or its data."""
+    return len(shown.users_scene) < 2 and shown.data.users < 2
 
 
 def _is_there(scene: "bpy.types.Scene", shown: "bpy.types.Object | None") -> bool:
@@ -76,7 +86,7 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
     if not state.active:
         return []
     settings = bake_settings(scene)
-    names, known = volume_names(description), baked_keys(scene)
+    names, known = volume_names(description), _keys(scene)
     sequences = {item.name for item in state.volumes if not item.key}
     found = [
         f'the baked light of "{name}" is out of date; press Bake Light'
@@ -84,7 +94,23 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
         if known.get(name) != key and name not in sequences
     ]
     left = [item.name for item in state.volumes if item.name not in names]
+    found += light_of_libraries(scene)
     return found + [f'the baked light of "{name}" is left over; Bake Light removes it' for name in left]
+
+
+def light_of_libraries(scene: "bpy.types.Scene") -> list[str]:
+    """Sentences about linked objects that add the light of another file to the scene's own."""
+    return [
+        f'"{shown.name_full}" adds the baked light of another file; unlink it from the scene'
+        for shown in _others(scene)
+        if shown.library is not None and not shown.hide_render
+    ]
+
+
+def _others(scene: "bpy.types.Scene") -> "list[bpy.types.Object]":
+    """Objects of a scene with baked light that is not its own."""
+    own = [item.shown for item in light_state(scene).volumes]
+    return [shown for shown in scene.objects if shown.get(LIGHT_MARK) is not None and shown not in own]
 
 
 def show_light(scene: "bpy.types.Scene", baked: BakedScene) -> None:
@@ -129,6 +155,7 @@ def show_sequence(scene: "bpy.types.Scene", frames: list[BakedScene]) -> None:
 
 def remove_light(scene: "bpy.types.Scene") -> None:
     """Undo `show_light`. The files stay: other copies of the .blend may show them."""
+    _part(scene)
     state = light_state(scene)
     for item in state.volumes:
         _remove_spare(item)
@@ -161,9 +188,29 @@ def set_cycles(scene: "bpy.types.Scene", **settings: Any) -> None:
     state.cycles = json.dumps(before)
 
 
+def _part(scene: "bpy.types.Scene") -> None:
+    """Leave to other scenes the light that they show. A copy of a scene begins with that of the first."""
+    state = light_state(scene)
+    others = [other for other in bpy.data.scenes if other != scene]
+    for number in reversed(range(len(state.volumes))):
+        shown = state.volumes[number].shown
+        if shown is not None and any(shown.name in other.objects for other in others):
+            state.volumes.remove(number)
+    found = state.collection
+    if found is not None and any(found in other.collection.children_recursive for other in others):
+        if found.name in scene.collection.children:
+            scene.collection.children.unlink(found)
+        state.collection = None
+
+
 def _prepare(scene: "bpy.types.Scene") -> None:
     """Settings of the whole scene, whose earlier values are kept."""
+    _part(scene)
     state = light_state(scene)
+    # Appended objects would shine beside the scene's own light.
+    for shown in _others(scene):
+        if shown.library is None and len(shown.users_scene) == 1:
+            _remove_object(shown)
     if state.collection is None or COLLECTION not in state.collection.name:
         state.collection = bpy.data.collections.new(COLLECTION)
         state.collection[LIGHT_MARK] = COLLECTION
@@ -189,7 +236,7 @@ def _show(scene: "bpy.types.Scene", one: BakedVolume) -> None:
     if item is None:
         item = state.volumes.add()
         item.name = one.name
-    if item.shown is None or item.shown.name not in scene.objects:
+    if item.shown is None or item.shown.name not in scene.objects or not _is_own(item.shown):
         _remove_object(item.shown)
         item.shown = _light_object(one.name)
         state.collection.objects.link(item.shown)

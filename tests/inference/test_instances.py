@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Instances: volumes that hold the same array at different places."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -31,13 +32,14 @@ def copies(volumes):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("anisotropies", [(0.4, 0.4), (0.4, 0.8)], ids=["equal", "other"])
 @pytest.mark.parametrize("light", ["suns and sky", "lamp"])
 @pytest.mark.parametrize(
     "places", [[(0.0, 1.0), (0.0, 1.0)], [(0.0, 1.0), (0.7, 1.0)], [(0.3, 1.0), (0.3, 0.6)]], ids=str
 )
-def test_instances_look_like_copies(places, light):
+def test_instances_look_like_copies(places, light, anisotropies):
     volumes = [at((1.4 * n - 0.7, 0.1 * n, 0.0), *turned) for n, turned in enumerate(places)]
-    media = [Medium(MEDIUM.sigma_t / scale, MEDIUM.albedo, 0.4) for _, scale in places]
+    media = [Medium(MEDIUM.sigma_t / scale, MEDIUM.albedo, g) for (_, scale), g in zip(places, anisotropies)]
     lights = [PointLight((0.2, 0.3, 2.0), 40.0, 0.1)]
     if light != "lamp":
         lights = [Sun((0.4, 0.3, 0.8), 2.0), Sun((-0.5, 0.1, 0.2), 1.0), SKY]
@@ -99,6 +101,24 @@ def test_a_thousand_instances_need_little_more_memory_than_one():
     apart = [(replace(volume, density=np.ones((24,) * 3, np.float32)), medium) for volume, medium in pairs]
     with pytest.raises(SceneError, match="raise the limit"):
         make_plan(apart, lights, VIEW, settings)
+
+
+@pytest.mark.parametrize("overlap", [False, True])
+def test_instances_need_what_is_planned(overlap):
+    """Of other media, and in overlapping pairs, each of which is merged."""
+    media = [Medium(20.0 + n, 0.9 - 0.02 * n, 0.1 * n) for n in range(8)]
+    places = [2.6 * (n // 2) + 0.7 * (n % 2) - 4.5 if overlap else 1.3 * n - 4.5 for n in range(len(media))]
+    pairs = [(at((x, 0.0, 0.0)), media[0] if overlap else medium) for x, medium in zip(places, media)]
+    lights, settings, view = [Sun((0.4, 0.3, 0.8), 2.0)], Settings(threads=2), camera(12.0, resolution=(60, 12))
+    tracemalloc.start()
+    try:
+        render(pairs, lights, view, settings)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    plan = make_plan(pairs, lights, view, settings)
+    assert len(plan.groups) == (4 if overlap else 8)
+    assert most < plan.memory < 2.5 * most
 
 
 @pytest.mark.parametrize("coloured", [False, True])

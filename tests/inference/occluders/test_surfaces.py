@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces in front of and within volumes, against closed forms and brute-force ray intersection."""
 
+import time
+
 import numpy as np
 import pytest
 
 from inference import Camera, Medium, SceneError, Settings, Sun, Surface, render
+from inference.occluders import rasterization
 from inference.occluders.depth_buffer import (
     DISTANCES,
     SAMPLES,
@@ -13,6 +16,7 @@ from inference.occluders.depth_buffer import (
     end_rays_at_surfaces,
     split_rays_at_surfaces,
 )
+from inference.occluders.shadow_map import ShadowMap
 from inference.scene.camera_rays import camera_rays
 from inference.scene.optimizations import ALL
 from tests.support.surfaces import camera, fog, rectangle
@@ -59,6 +63,34 @@ def test_depths_equal_brute_force_intersection(projection, clip):
     assert np.isfinite(expected).mean() > 0.3
     # A sample on an edge may fall on either side.
     assert same.mean() > 0.995
+
+
+def test_thousands_of_small_surfaces_cost_little_more_than_one(monkeypatch):
+    """And show the same triangles at the same distances, in batches that end within the small ones and at large ones.
+
+    Taken one by one they cost 70 times as much.
+    """
+    random, view, window, towards = np.random.default_rng(5), camera(clip=(0.5, np.inf)), (0, 0, 12, 8), np.eye(3)[2]
+    triangles = random.normal(0.0, 2.0, (9000, 1, 3)) + random.normal(0.0, 0.3, (9000, 3, 3)) - [0.0, 0.0, 2.0]
+    ends = np.cumsum([0, *random.integers(0, 4, 4000), 2000])
+    assert ends[-1] <= len(triangles)
+    triangles = triangles[: ends[-1]]
+    parts = [Surface(triangles[first:last]) for first, last in zip(ends, ends[1:])]
+
+    def made(surfaces):
+        begin = time.process_time()
+        buffer = DepthBuffer(surfaces, view)
+        shadows = ShadowMap([surface.triangles for surface in surfaces], towards, triangles[:20].reshape(-1, 3))
+        return time.process_time() - begin, buffer.triangles(window), buffer.distances(window), shadows.heights
+
+    least, *expected = made([Surface(triangles)])
+    spent, *found = made(parts)
+    assert spent < 10.0 * least
+    monkeypatch.setattr(rasterization, "TRIANGLES_PER_BATCH", 700)
+    for several in (found, made(parts)[1:]):
+        for values, whole in zip(several, expected):
+            np.testing.assert_array_equal(values, whole)
+    assert np.unique(expected[0]).size > 50 and np.isfinite(expected[2]).any()
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])

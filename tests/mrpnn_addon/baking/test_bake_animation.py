@@ -87,6 +87,16 @@ def test_frames_that_have_not_changed_are_not_baked_again(addon, turning, tmp_pa
     assert set(before) < set(after)
 
 
+def test_frames_without_a_volume_do_not_count_as_unchanged(addon, turning, tmp_path, capfd):
+    cloud = turning.objects["Cloud"]
+    for frame in range(1, FRAMES + 1):
+        cloud.hide_render = frame == 2
+        cloud.keyframe_insert("hide_render", frame=frame)
+    for sentence in ("baked the light of 2 of 3 frames; 1 shows", "0 of 3 frames; 2 have not changed; 1 shows"):
+        assert bake(tmp_path) == {"FINISHED"}
+        assert f"{sentence} no volume" in capfd.readouterr().out
+
+
 def _curves(shown):
     action = shown.animation_data.action
     if hasattr(action, "fcurves"):

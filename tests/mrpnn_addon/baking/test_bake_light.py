@@ -125,6 +125,58 @@ def test_removal_restores_the_saved_file(addon, scene, cloud, tmp_path):
     assert state_of_file() == before
 
 
+def shown_light(scene) -> list[tuple[str, str]]:
+    return [(shown.name, shown.data.filepath) for shown in scene.objects if "mrpnn_light" in shown]
+
+
+@pytest.mark.parametrize("kind", ["LINK_COPY", "FULL_COPY", "EMPTY"])
+def test_a_bake_in_a_copy_of_a_scene_leaves_the_first_scenes_light(addon, scene, cloud, tmp_path, kind):
+    assert bake(tmp_path / "first") == {"FINISHED"}
+    before = shown_light(scene)
+    bpy.ops.scene.new(type=kind)
+    copy = bpy.context.scene
+    if kind == "EMPTY":
+        copy.collection.objects.link(cloud)
+        copy.camera = scene.camera
+        blender_scenes.add_sun(copy, strength=2.0)
+    assert bake(tmp_path / "copy") == {"FINISHED"}
+    assert shown_light(scene) == before
+    ((_, path),) = shown_light(copy)
+    assert path.startswith(str(tmp_path / "copy"))
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert shown_light(scene) == before and not shown_light(copy)
+    bpy.context.window.scene = scene
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert not lights()
+
+
+def test_a_copy_of_a_scene_loses_its_light_alone(addon, scene, cloud, tmp_path):
+    assert bake(tmp_path) == {"FINISHED"}
+    before = shown_light(scene)
+    bpy.ops.scene.new(type="LINK_COPY")
+    assert bpy.ops.mrpnn.bake_light_remove() == {"FINISHED"}
+    assert shown_light(scene) == before and not shown_light(bpy.context.scene)
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_light_of_another_file_shines_once_or_is_named(addon, scene, cloud, tmp_path, capfd, link):
+    assert bake(tmp_path / "first") == {"FINISHED"}
+    names = [shown.name for shown in scene.objects if shown != scene.camera]
+    path = str(tmp_path / "first.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
+    scene = blender_scenes.empty_scene()
+    blender_scenes.add_camera(scene)
+    with bpy.data.libraries.load(path, link=link) as (_, loaded):
+        loaded.objects = names
+    for shown in loaded.objects:
+        scene.collection.objects.link(shown)
+    assert bake(tmp_path / "second") == {"FINISHED"}
+    own = [path for _, path in shown_light(scene) if path.startswith(str(tmp_path / "second"))]
+    assert len(own) == 1 and len(shown_light(scene)) == (2 if link else 1)
+    sentence = '"Cloud Light [first.blend]" adds the baked light of another file; unlink it from the scene'
+    assert (sentence in capfd.readouterr().out) == link
+
+
 @pytest.mark.slow
 def test_fast_settings_show_the_layer_with_one_sample(addon, scene, cloud, tmp_path):
     # Denoising needs more pixels than the other tests.
