@@ -77,7 +77,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
         expected, missing = _expected(context)
         if expected.problem:
             draw_text(context, layout, expected.problem, "ERROR")
-        elif not expected.volumes:
+        elif not expected.volumes + expected.empty:
             draw_text(context, layout, "The scene shows no volume; add one with Add > Volume", "ERROR")
         else:
             lights = [_number(expected.lamps, "light")] * (expected.lamps > 0) + ["World"] * expected.world
