@@ -9,6 +9,7 @@ import numpy as np
 
 from ...evaluation.error import Estimate, paper_metric, relative_bias, relative_rmse
 from ...evaluation.error_vs_time import (
+    MEASURED,
     PathTracing,
     Reached,
     Rung,
@@ -63,12 +64,13 @@ class Equal:
 
     def __str__(self) -> str:
         clock = "s" if self.clock == "seconds" else "processor seconds"
+        method = self.method.capitalize()
         if not np.isfinite(self.ratio):
-            return f"{self.method}: how long it takes to reach this error is unknown"
+            return f"{method}: how long it takes to the layer's error is unknown"
         return (
-            f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long, "
-            f"{self.frame_ratio:.3g} times as long as a further frame; in the layer's "
-            f"{self.seconds:.2g} {clock} it has an error of {self.error}"
+            f"{method} needs {_quantity(self.needed, clock)} for the layer's error: {_rounded(self.ratio)} times as "
+            f"long as the layer, and {_rounded(self.frame_ratio)} times as long as its next frame. In the layer's "
+            f"{_rounded(self.seconds)} {clock}, its error is {_quantity(self.error)}"
         )
 
 
@@ -143,6 +145,16 @@ class Comparison:
     def write_json(self, path: str) -> None:
         """Write all figures to `path` atomically."""
         write_json(path, self.figures())
+
+
+def _rounded(value: float) -> str:
+    """Two digits, without an exponent for large values."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _quantity(reached: Reached, unit: str = "") -> str:
+    """A value with its unit, and how it is known where it is not measured."""
+    return f"{_rounded(reached.value)} {unit}".rstrip() + ("" if reached.how == MEASURED else f" ({reached.how})")
 
 
 def _finite(value: Any) -> Any:
