@@ -79,12 +79,12 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
     names, known = volume_names(description), baked_keys(scene)
     sequences = {item.name for item in state.volumes if not item.key}
     found = [
-        f'the baked light of "{name}" is out of date; press Bake Light'
+        f'the baked light of "{name}" is out of date; press Bake What Has Changed'
         for name, key in zip(names, light_keys(description, settings))
         if known.get(name) != key and name not in sequences
     ]
     left = [item.name for item in state.volumes if item.name not in names]
-    return found + [f'the baked light of "{name}" is left over; Bake Light removes it' for name in left]
+    return found + [f'the baked light of "{name}" is left over; Bake What Has Changed removes it' for name in left]
 
 
 def show_light(scene: "bpy.types.Scene", baked: BakedScene) -> None:

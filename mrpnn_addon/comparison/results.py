@@ -66,10 +66,10 @@ class Equal:
         clock = "s" if self.clock == "seconds" else "processor seconds"
         method = self.method.capitalize()
         if not np.isfinite(self.ratio):
-            return f"{method}: how long it takes to the layer's error is unknown"
+            return f"{method}: how long it takes to MRPNN's error is unknown"
         return (
-            f"{method} needs {_quantity(self.needed, clock)} for the layer's error: {_rounded(self.ratio)} times as "
-            f"long as the layer, and {_rounded(self.frame_ratio)} times as long as its next frame. In the layer's "
+            f"{method} needs {_quantity(self.needed, clock)} for MRPNN's error: {_rounded(self.ratio)} times as "
+            f"long as MRPNN, and {_rounded(self.frame_ratio)} times as long as its next frame. In MRPNN's "
             f"{_rounded(self.seconds)} {clock}, its error is {_quantity(self.error)}"
         )
 
@@ -198,7 +198,7 @@ def compare(
     if a is None:
         raise SceneError("there is no reference yet: Cycles was stopped before it finished two passes")
     if a.shape[:2] != layer.image.shape[:2]:
-        raise SceneError(f"the layer has {_size(layer.image)} pixels and the reference {_size(a)}")
+        raise SceneError(f"MRPNN's picture has {_size(layer.image)} pixels and the reference {_size(a)}")
     mask = layer.image[..., 3] > MASK_ALPHA
     references = [(job, done) for job, done in passes.items() if job.method == REFERENCE]
     reference_seconds = sum(done.seconds for _, done in references)
@@ -240,7 +240,7 @@ def compare(
     if given is None:
         if result.clock != CLOCKS[0]:
             result.marks.append(
-                "other programs slowed the layer down: it ran for "
+                "other programs slowed MRPNN down: it ran for "
                 f"{judged.seconds:.1f} s and got {judged.cpu_seconds:.1f} processor seconds; "
                 "processor time is compared"
             )
