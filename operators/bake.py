@@ -120,7 +120,7 @@ class MRPNN_OT_bake_light(_LightProperties, RunsWorkers, bpy.types.Operator):
         show_light(context.scene, baked)
         for warning in [*baked.warnings, *bake_warnings(self._description), *light_of_libraries(context.scene)]:
             report(self, "WARNING", warning)
-        warn_of_temporary(self, self.folder)
+        warn_of_temporary(self, self.folder, "save the file to keep it")
         if not baked.names:
             report(self, "INFO", f"frame {baked.frame} shows no volume, so there is no light to bake")
         elif not baked.volumes:
@@ -210,7 +210,7 @@ class MRPNN_OT_bake_animation(_LightProperties, RunsWorkers, bpy.types.Operator)
         warnings = [warning for one in frames for warning in one.warnings] + light_of_libraries(context.scene)
         for warning in dict.fromkeys(warnings):
             report(self, "WARNING", warning)
-        warn_of_temporary(self, self.folder)
+        warn_of_temporary(self, self.folder, "save the file and bake again to keep it")
         what = f"baked the light of {len(self._seconds)} of {len(frames)} frames"
         if len(self._seconds) == len(frames):
             what = f"baked the light of {len(frames)} frames"
@@ -310,11 +310,10 @@ def light_frames(frames: list[int]) -> list[int]:
     return frames
 
 
-def warn_of_temporary(reporter: Any, folder: str) -> None:
-    """Tell where light is that goes when Blender ends."""
+def warn_of_temporary(reporter: Any, folder: str, remedy: str) -> None:
+    """Tell that light goes when Blender ends. remedy: what keeps it."""
     if not bpy.data.filepath and folder.startswith("//"):
-        text = "the .blend file is not saved, so the light is in a temporary folder"
-        report(reporter, "WARNING", f"{text}; save the file and bake again to keep it")
+        report(reporter, "WARNING", f"the .blend file is not saved, so the light is lost when Blender ends; {remedy}")
 
 
 def _count(volumes: list) -> str:

@@ -39,7 +39,8 @@ class MRPNN_OT_compare(WaitsForVolumes, bpy.types.Operator):
         default=32,
         min=1,
         max=65536,
-        description="Samples per pixel, at most, of each of the two Cycles images that make the reference",
+        description="Samples per pixel, at most, of the reference: the Cycles image that errors are measured against. "
+        "Two such images are rendered, because their difference tells their noise",
     )
     budget: FloatProperty(
         name="Time Limit",

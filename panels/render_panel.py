@@ -24,7 +24,9 @@ from ..operators.render import MRPNN_OT_render
 from .text import draw_text
 
 # Column titles by a comparison's clock.
-TIMES = {"seconds": "Time", "cpu_seconds": "Processor"}
+TIMES = {"seconds": "Time", "cpu_seconds": "CPU Time"}
+#: Share of the table's width for the names of methods.
+METHODS = 0.5
 
 
 class _RenderPanel:
@@ -77,7 +79,7 @@ class MRPNN_PT_forecast(_RenderPanel, bpy.types.Panel):
         expected, missing = _expected(context)
         if expected.problem:
             draw_text(context, layout, expected.problem, "ERROR")
-        elif not expected.volumes:
+        elif not expected.volumes + expected.empty:
             draw_text(context, layout, "The scene shows no volume; add one with Add > Volume", "ERROR")
         else:
             lights = [_number(expected.lamps, "light")] * (expected.lamps > 0) + ["World"] * expected.world
@@ -201,7 +203,9 @@ class MRPNN_PT_motion_blur(_RenderPanel, bpy.types.Panel):
     def draw(self, context: "bpy.types.Context") -> None:
         render, column = context.scene.render, _split(self.layout)
         column.active = render.use_motion_blur
-        column.prop(render if hasattr(render, "motion_blur_position") else context.scene.cycles, "motion_blur_position")
+        owner = render if hasattr(render, "motion_blur_position") else context.scene.cycles
+        # The names of this and of others below are too long for the default width.
+        column.prop(owner, "motion_blur_position", text="Position")
         column.prop(render, "motion_blur_shutter")
         self.layout.template_curve_mapping(render, "motion_blur_shutter_curve")
 
@@ -216,15 +220,15 @@ class MRPNN_PT_performance(_RenderPanel, bpy.types.Panel):
         column.prop(settings, "threads")
         if not settings.threads:
             _draw_preferred(context, column, str(preferred.threads or "one per core"))
-        column.prop(settings, "memory_limit")
+        column.prop(settings, "memory_limit", text="Memory (GiB)")
         if not settings.memory_limit:
             _draw_preferred(context, column, f"{preferred.memory_limit} GiB")
-        column.prop(context.scene.render, "preview_pixel_size", text="Viewport Pixel Size")
+        column.prop(context.scene.render, "preview_pixel_size", text="Pixel Size")
 
 
 def _draw_preferred(context: "bpy.types.Context", layout: "bpy.types.UILayout", value: str) -> None:
     """The value that 0 in the setting above stands for."""
-    draw_text(context, layout, f"{value}, as in the preferences")
+    draw_text(context, layout, f"Preferences: {value}")
 
 
 class MRPNN_PT_advanced(_RenderPanel, bpy.types.Panel):
@@ -284,13 +288,17 @@ def _draw_comparison(context: "bpy.types.Context", layout: "bpy.types.UILayout",
         return
     comparison, page = last
     box = layout.box()
-    table = box.grid_flow(row_major=True, columns=3, align=True)
-    for title in ("Samples", TIMES[comparison.clock], "Error"):
-        label(table, title)
-    for rung in comparison.rungs:
-        label(table, f"{rung.samples}, {rung.method}")
-        label(table, f"{getattr(rung, comparison.clock):.2g} s")
-        label(table, f"{rung.error:.3f}")
+    table = box.column(align=True)
+    rows = [
+        (f"{rung.samples}, {rung.method}", f"{getattr(rung, comparison.clock):.2g} s", f"{rung.error:.3f}")
+        for rung in comparison.rungs
+    ]
+    for method, *figures in [("Samples", TIMES[comparison.clock], "Error"), *rows]:
+        # Columns of one width would truncate the methods.
+        row = table.split(factor=METHODS)
+        label(row, method)
+        for figure in figures:
+            label(row, figure)
     for sentence in (*comparison.sentences(), *comparison.marks):
         draw_text(context, box, sentence, "INFO")
     if not comparison.verdict.good:

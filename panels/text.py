@@ -43,7 +43,7 @@ def draw_text(context: "bpy.types.Context", layout: "bpy.types.UILayout", text: 
     column.scale_y = 0.8
     width = context.region.width - MARGIN * scale
     for index, line in enumerate(wrapped(safe_text(text), width, lambda part: blf.dimensions(0, part)[0])):
-        label(column, line, icon=icon if index == 0 else "BLANK1")
+        label(column, line, icon=icon if index == 0 or icon == "NONE" else "BLANK1")
 
 
 def wrapped(text: str, width: float, measure: Callable[[str], float]) -> list:

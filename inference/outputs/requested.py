@@ -47,9 +47,7 @@ class Outputs:
     def __post_init__(self) -> None:
         blur = "depth of field" if self.camera.lens else "motion blur" if self.camera.shutter else None
         if "deep" in self.wanted and blur:
-            raise SceneError(
-                f"camera: deep samples lie on one ray of each pixel, and {blur} has many; switch off one of them"
-            )
+            raise SceneError(f"deep EXR does not work with {blur}; switch off one of them")
         if "median" in self.wanted:
             x0, y0, x1, y1 = self.camera.window
             # Sums of distance times weight, and weights.

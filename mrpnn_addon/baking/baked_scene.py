@@ -89,13 +89,13 @@ def stale_light(scene: "bpy.types.Scene", description: SceneDescription) -> list
     names, known = volume_names(description), _keys(scene)
     sequences = {item.name for item in state.volumes if not item.key}
     found = [
-        f'the baked light of "{name}" is out of date; press Bake Light'
+        f'the baked light of "{name}" is out of date; press Bake What Has Changed'
         for name, key in zip(names, light_keys(description, settings))
         if known.get(name) != key and name not in sequences
     ]
     left = [item.name for item in state.volumes if item.name not in names]
     found += light_of_libraries(scene)
-    return found + [f'the baked light of "{name}" is left over; Bake Light removes it' for name in left]
+    return found + [f'the baked light of "{name}" is left over; Bake What Has Changed removes it' for name in left]
 
 
 def light_of_libraries(scene: "bpy.types.Scene") -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...evaluation.error import Estimate, paper_metric, relative_bias, relative_rmse
 from ...evaluation.error_vs_time import (
+    MEASURED,
     PathTracing,
     Reached,
     Rung,
@@ -63,12 +64,13 @@ class Equal:
 
     def __str__(self) -> str:
         clock = "s" if self.clock == "seconds" else "processor seconds"
+        method = self.method.capitalize()
         if not np.isfinite(self.ratio):
-            return f"{self.method}: how long it takes to reach this error is unknown"
+            return f"{method}: how long it takes to MRPNN's error is unknown"
         return (
-            f"{self.method} needs {self.needed} {clock} for this error, {self.ratio:.3g} times as long, "
-            f"{self.frame_ratio:.3g} times as long as a further frame; in the layer's "
-            f"{self.seconds:.2g} {clock} it has an error of {self.error}"
+            f"{method} needs {_quantity(self.needed, clock)} for MRPNN's error: {_rounded(self.ratio)} times as "
+            f"long as MRPNN, and {_rounded(self.frame_ratio)} times as long as its next frame. In MRPNN's "
+            f"{_rounded(self.seconds)} {clock}, its error is {_quantity(self.error)}"
         )
 
 
@@ -145,6 +147,16 @@ class Comparison:
         write_json(path, self.figures())
 
 
+def _rounded(value: float) -> str:
+    """Two digits, without an exponent for large values."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _quantity(reached: Reached, unit: str = "") -> str:
+    """A value with its unit, and how it is known where it is not measured."""
+    return f"{_rounded(reached.value)} {unit}".rstrip() + ("" if reached.how == MEASURED else f" ({reached.how})")
+
+
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
@@ -186,7 +198,7 @@ def compare(
     if a is None:
         raise SceneError("there is no reference yet: Cycles was stopped before it finished two passes")
     if a.shape[:2] != layer.image.shape[:2]:
-        raise SceneError(f"the layer has {_size(layer.image)} pixels and the reference {_size(a)}")
+        raise SceneError(f"MRPNN's picture has {_size(layer.image)} pixels and the reference {_size(a)}")
     mask = layer.image[..., 3] > MASK_ALPHA
     references = [(job, done) for job, done in passes.items() if job.method == REFERENCE]
     reference_seconds = sum(done.seconds for _, done in references)
@@ -228,7 +240,7 @@ def compare(
     if given is None:
         if result.clock != CLOCKS[0]:
             result.marks.append(
-                "other programs slowed the layer down: it ran for "
+                "other programs slowed MRPNN down: it ran for "
                 f"{judged.seconds:.1f} s and got {judged.cpu_seconds:.1f} processor seconds; "
                 "processor time is compared"
             )

@@ -19,7 +19,7 @@ def part_pixels(part: Part, size: tuple[int, int]) -> tuple[int, int]:
 
 
 def pixel_size(scene: "bpy.types.Scene") -> int:
-    """Edge in pixels of the screen of a pixel that Rendered shading renders, of *Viewport Pixel Size*, as in Cycles."""
+    """Edge in pixels of the screen of a pixel that Rendered shading renders, of *Pixel Size*, as in Cycles."""
     render: Any = scene.render
     if render.preview_pixel_size != "AUTO":
         return int(render.preview_pixel_size)

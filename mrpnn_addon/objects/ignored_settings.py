@@ -65,10 +65,10 @@ SCENE = (
     IgnoredSetting(
         "cycles.rolling_shutter_type", "Motion Blur > Rolling Shutter has no effect", (), "render.use_motion_blur"
     ),
-    IgnoredSetting("cycles.use_fast_gi", "Light Paths > Fast GI Approximation has no effect on the layer"),
-    IgnoredSetting("cycles.sample_clamp_direct", "Light Paths > Clamping > Direct Light has no effect on the layer"),
+    IgnoredSetting("cycles.use_fast_gi", "Light Paths > Fast GI Approximation has no effect on volumes"),
+    IgnoredSetting("cycles.sample_clamp_direct", "Light Paths > Clamping > Direct Light has no effect on volumes"),
     IgnoredSetting(
-        "cycles.sample_clamp_indirect", "Light Paths > Clamping > Indirect Light has no effect on the layer", (0.0,)
+        "cycles.sample_clamp_indirect", "Light Paths > Clamping > Indirect Light has no effect on volumes", (0.0,)
     ),
     IgnoredSetting("cycles.filter_width", "Film > Pixel Filter > Width has no effect on volumes"),
     IgnoredSetting(

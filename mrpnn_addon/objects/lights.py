@@ -13,7 +13,7 @@ from ..nodes.light_shader import EMISSION, emitted
 from ..nodes.sockets import Unsupported, active_output, has_nodes, source_of
 from .ignored_settings import LIGHT, ignored_settings
 from .placement import placement_problem
-from .visibility import VisibleObject
+from .visibility import LEFT_OUT, VisibleObject
 
 
 def read_suns(shown: VisibleObject) -> tuple[list[Sun], list[str]]:
@@ -64,11 +64,11 @@ def read_lamp(shown: VisibleObject) -> tuple[Lamp | None, list[str]]:
     warnings = ignored_settings(shown.object, LIGHT, name)
     if lamp.type == "AREA":
         if getattr(getattr(lamp, "cycles", None), "is_portal", False):
-            return None, [f"{name} is a portal, which gives no light of its own; it is left out"]
+            return None, [f"{name} is a portal, which gives no light of its own{LEFT_OUT}"]
         # Of squares and disks one size holds.
         size = (lamp.size, lamp.size if lamp.shape in {"SQUARE", "DISK"} else lamp.size_y)
         if not all(size) or not np.cross(matrix[:3, 0], matrix[:3, 1]).any():
-            return None, [*warnings, f"{name} has no area and is left out"]
+            return None, [*warnings, f"{name} has no area{LEFT_OUT}"]
         if _is_sheared(matrix):
             warnings.append(
                 f"{name} is sheared, which changes its brightness in Cycles but not here; apply the scale of its parent"

@@ -14,10 +14,12 @@ from ..nodes.surface_colour import SurfaceColour, surface_colour
 from .ignored_settings import SHINING, ignored_settings
 from .mesh_triangles import Mesh, read_mesh, require_finite
 from .placement import placement_problem
-from .visibility import VisibleObject, is_holdout
+from .visibility import LEFT_OUT, VisibleObject, is_holdout
 
 #: Of a transparent mesh with a volume, after its name.
-VOLUME_INSIDE = "so is the volume inside; to render the volume, unlink its surface, or link a white Transparent BSDF"
+VOLUME_INSIDE = (
+    "a volume inside a transparent surface is not rendered; unlink its surface, or link a white Transparent BSDF"
+)
 SOME_FACES = "some of its faces have no volume in their material; assign the material with the volume to all of them"
 SEE_THROUGH = {"ShaderNodeBsdfTransparent", "ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction"}
 
@@ -80,8 +82,10 @@ def read_surface(
     where = f'{_kind(shown)} object "{shown.name}"'
     if shown.object.type not in MESHES:
         if only_volume(shown.object):
-            return None, [f"{where} has a volume material, which Cycles renders in meshes only; convert it to a mesh"]
-        return None, [f"{where} is a surface and not rendered"]
+            return None, [
+                f"{where} has a volume material, which Cycles renders in meshes only; convert it to a mesh{LEFT_OUT}"
+            ]
+        return None, [f"{where} is no mesh, so it neither hides nor shades volumes{LEFT_OUT}"]
     covers = shown.visible_to("camera") and not shown.source.indirect_only_get(view_layer=view_layer)
     shades, stops = shown.visible_to("shadow"), shown.visible_to("volume_scatter")
     if not (covers or shades or stops):
@@ -90,10 +94,10 @@ def read_surface(
     if not holdout and is_transparent(shown.object):
         volumes = [material is not None and has_volume(material) for material in materials(shown.object)]
         if any(volumes) and not all(volumes):
-            return None, [f"{where} is left out: {SOME_FACES}"]
+            return None, [f"{where}: {SOME_FACES}{LEFT_OUT}"]
         if any(volumes):
-            return None, [f"{where} is transparent and left out, and {VOLUME_INSIDE}"]
-        return None, [f"{where} is transparent and left out; volumes behind it are rendered as if it were absent"]
+            return None, [f"{where}: {VOLUME_INSIDE}{LEFT_OUT}"]
+        return None, [f"{where} is transparent; volumes behind it are fully visible{LEFT_OUT}"]
     # Blender's list of instances reuses one object for all of them; its data is each one's own.
     key = (shown.object.data.name_full, shown.object.data.as_pointer())
     if key not in known:

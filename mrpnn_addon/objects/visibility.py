@@ -11,6 +11,8 @@ import numpy as np
 from ...inference.scene import SceneError
 from ..nodes.material import SURFACES, shows_volume
 
+#: How a message ends that names an object which is not rendered.
+LEFT_OUT = " (left out)"
 # Blender lists objects of these types and, as one more instance, the mesh that renders show of them. None for texts
 # without letters, for all but the first member of a metaball family, and for texts that particles instance.
 CONVERTED = {"CURVE", "SURFACE", "META", "FONT"}

@@ -32,6 +32,7 @@ from ..objects.motion import GoTo, read_motion, uses_motion_blur
 from ..objects.surfaces import OWN_FOG, SOME_FACES, VOLUME_INSIDE, OpaqueMesh, read_surface, surface_warnings
 from ..objects.views import View, in_one_file, wanted_views
 from ..objects.visibility import (
+    LEFT_OUT,
     VisibleObject,
     hidden_from_camera,
     ignored_visibility,
@@ -234,7 +235,7 @@ def _add_velocities(
         try:
             found[shown.key] = reader.velocity(shown, depsgraph.scene, blurred)
         except SceneError as problem:
-            description.warnings += [f"{problem} (its velocity is left out)"]
+            description.warnings += [f"{problem}; it is rendered without its velocity"]
     for (volume, _), (key, _) in zip(description.volumes, description.placed):
         volume.velocity = found.get(key)
     return any(velocity is not None for velocity in found.values())
@@ -297,7 +298,8 @@ def _why_dark(description: SceneDescription, objects: "Iterable[bpy.types.Object
     problems = [problem for problem in description.refused if problem not in (NO_LIGHT, *description.unseen)]
     problems += [f"{name} has no strength" for name in dict.fromkeys(light.name for light in description.lights)]
     lights = sorted({f'"{shown.name}"' for shown in objects if shown.type == "LIGHT"})
-    problems += [text for text in description.warnings if text.endswith(" left out") and any(n in text for n in lights)]
+    told = [text.removesuffix(LEFT_OUT) for text in description.warnings if text.endswith(LEFT_OUT)]
+    problems += [text for text in told if text not in problems and any(name in text for name in lights)]
     problems += [f"light {name} is hidden" for name in lights if not any(name in problem for problem in problems)]
     return "; ".join(problems) or NO_LIGHT
 
@@ -360,7 +362,7 @@ def _refused(description: SceneDescription, problem: SceneError) -> list[str]:
     if str(problem) in description.refused:
         return []
     description.refused.append(str(problem))
-    return [f"{problem} (left out)"]
+    return [f"{problem}{LEFT_OUT}"]
 
 
 def _has_light(description: SceneDescription) -> bool:
@@ -386,8 +388,9 @@ def require_volumes(description: SceneDescription) -> None:
 
 def _no_volume(description: SceneDescription) -> str:
     """Why nothing is rendered where no object shows a volume; names a World and meshes that have one."""
+    told = [text.removesuffix(LEFT_OUT) for text in description.warnings]
     ends = WORLD_FOG, VOLUME_INSIDE, SOME_FACES, OWN_FOG
-    return "; ".join([NO_VOLUME, *(text for text in description.warnings if text.endswith(ends))])
+    return "; ".join([NO_VOLUME, *(text for text in told if text.endswith(ends))])
 
 
 def require_all(description: SceneDescription) -> None:
@@ -408,7 +411,7 @@ def _link(description: SceneDescription, links: LightLinks) -> None:
     description.suns = [sun for sun in description.suns if id(sun) not in unneeded]
     description.lamps = [lamp for lamp in description.lamps if id(lamp) not in unneeded]
     names = dict.fromkeys(light.name for light in needless)
-    description.warnings += [f"{name} lights nothing that is rendered and is left out" for name in names]
+    description.warnings += [f"{name} lights nothing that is rendered{LEFT_OUT}" for name in names]
 
 
 def _add(
@@ -486,4 +489,4 @@ def _add_volume(
             description.empty.append(f"{where} {unseen}")
     description.left_out.add(shown.name)
     description.unseen.append(f"{where} {unseen}")
-    description.warnings.append(f"{where} {unseen} and is left out")
+    description.warnings.append(f"{where} {unseen}{LEFT_OUT}")

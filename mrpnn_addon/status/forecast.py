@@ -17,7 +17,7 @@ from ..objects.lights import read_lamp, read_suns
 from ..objects.placement import has_zero_scale, placement_problem
 from ..objects.surfaces import is_transparent
 from ..objects.views import wanted_views
-from ..objects.visibility import VisibleObject, hidden_from_camera, visible_objects
+from ..objects.visibility import LEFT_OUT, VisibleObject, hidden_from_camera, visible_objects
 from ..objects.workload import Box, estimate_workload
 from ..runtime.text import duration
 from ..scene.film import sky_seconds
@@ -32,9 +32,10 @@ from .cost_model import estimate_seconds, is_rough
 @dataclass
 class Forecast:
     """volumes, suns: numbers of each; a soft sun counts as one, as do other lamps and the World. pixels: inside
-    the bounds of volumes. points: predictions of the network, at most. seconds: of the render. warnings: of camera and
-    lights. problem: why the scene cannot be rendered, or "". lamps: of all kinds. world: whether the World lights the
-    volumes. rough: whether the density of the volumes is a guess because they have not been read.
+    the bounds of volumes. points: predictions of the network, at most. seconds: of the render. warnings: of camera,
+    lights and empty volumes. problem: why the scene cannot be rendered, or "". lamps: of all kinds. empty: number of
+    volumes without voxels, which are left out. world: whether the World lights the volumes. rough: whether the density
+    of the volumes is a guess because they have not been read.
     """
 
     volumes: int
@@ -45,6 +46,7 @@ class Forecast:
     warnings: list[str]
     problem: str = ""
     lamps: int = 0
+    empty: int = 0
     world: bool = False
     rough: bool = False
 
@@ -72,23 +74,23 @@ def _read_light(shown: VisibleObject) -> tuple[list[Sun], int, list[str]]:
         lamp, noted = read_lamp(shown)
         return [], int(lamp is not None and bool(np.any(lamp.power > 0.0))), noted
     except SceneError as problem:
-        return [], 0, [f"{problem} (left out)"]
+        return [], 0, [f"{problem}{LEFT_OUT}"]
 
 
 @dataclass
 class _Contents:
     """What costs time in a scene.
 
-    boxes: of volumes that are seen. channels: of colour that are marched apart. volumes, lamps: their numbers. suns:
-    bright ones. placed: bright lamps that are no suns. world: whether the World lights the volumes. surfaces: whether
-    there are any. warnings: of camera and lights.
+    boxes: of volumes that are seen. empty: number of volumes without voxels. channels: of colour that are marched
+    apart. lamps: their number. suns: bright ones. placed: bright lamps that are no suns. world: whether the World
+    lights the volumes. surfaces: whether there are any. warnings: of camera, lights and empty volumes.
     """
 
     camera: Camera
     warnings: list[str]
     boxes: list[Box] = field(default_factory=list)
     channels: int = 1
-    volumes: int = 0
+    empty: int = 0
     lamps: int = 0
     suns: list[Sun] = field(default_factory=list)
     placed: int = 0
@@ -114,11 +116,13 @@ def _contents(depsgraph: "bpy.types.Depsgraph") -> _Contents:
                 or has_zero_scale(shown.matrix)
             ):
                 box, different = box_around(shown)
-                found.volumes += 1
                 # Without a file, a volume's box is a point, and nothing of it is rendered.
                 if np.any(box.high > box.low):
                     found.boxes.append(box)
                     found.channels = max(found.channels, different)
+                else:
+                    found.empty += 1
+                    found.warnings.append(f'volume "{shown.name}" is empty, or its file is missing{LEFT_OUT}')
         elif shown.object.type == "LIGHT" and shown.visible_to("volume_scatter"):
             suns, others, noted = _read_light(shown)
             found.lamps += bool(suns or others)
@@ -151,13 +155,14 @@ def forecast(depsgraph: "bpy.types.Depsgraph") -> Forecast:
     seconds = estimate_seconds(workload, _threads(settings), calibration())
     seconds *= max(len(wanted_views(depsgraph.scene.render)), 1)
     return Forecast(
-        found.volumes,
+        len(found.boxes),
         count,
         workload.window,
         points,
         seconds,
         found.warnings,
         lamps=found.lamps,
+        empty=found.empty,
         world=found.world,
         rough=is_rough(workload, calibration()),
     )

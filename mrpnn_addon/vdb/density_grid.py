@@ -86,7 +86,7 @@ def read_density_grid(
     Raises SceneError, naming the object, for a missing or unreadable file, a missing grid, one that is not a fog volume
     of numbers, or one too large; EmptyGrid for one whose voxels are all 0.
     """
-    where = f'Volume object "{owner}"'
+    where = f'volume "{owner}"'
     known = density_grid_in_use(path, grid_name, owner)
     if known is not None:
         return known
@@ -128,7 +128,7 @@ def density_grid_in_use(path: str, grid_name: str, owner: str) -> DensityGrid | 
     values = density()
     if values is None:
         return None
-    return DensityGrid(values, matrix.copy(), low, background, [f'Volume object "{owner}": {note}' for note in notes])
+    return DensityGrid(values, matrix.copy(), low, background, [f'volume "{owner}": {note}' for note in notes])
 
 
 def _nothing(invalid: bool, grid_name: str, where: str) -> EmptyGrid:

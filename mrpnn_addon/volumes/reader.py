@@ -231,7 +231,7 @@ def _velocity_source(shown: VisibleObject, key: tuple) -> VelocitySource | None:
 
 
 def _where(shown: VisibleObject) -> str:
-    return f'Volume object "{shown.name}"' if shown.object.type == "VOLUME" else f'object "{shown.name}"'
+    return f'volume "{shown.name}"'
 
 
 def _volume_source(shown: VisibleObject) -> VolumeSource:

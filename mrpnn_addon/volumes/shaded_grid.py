@@ -438,5 +438,5 @@ def _refuse_emptiness(material: VolumeMaterial, missing: list[str]) -> None:
 def _refuse_background(material: VolumeMaterial) -> None:
     material.refuse(
         "it has density where the grids are 0, endless fog that Cycles cuts off at boxes around the "
-        "voxels; multiply it by a grid last"
+        "voxels; multiply the result by a grid in the last node"
     )

@@ -178,7 +178,7 @@ def test_a_scene_that_cannot_be_rendered_leaves_the_old_file(command, blend, cap
     (blend.parent / "fog_1.vdb").unlink()
     assert command(["render", "--output", str(output)]) == 1
     errors = capsys.readouterr().err
-    assert 'Volume object "Cloud"' in errors and "fog_1.vdb" in errors and errors.count("\n") == 1
+    assert 'volume "Cloud"' in errors and "fog_1.vdb" in errors and errors.count("\n") == 1
     assert output.read_bytes() == b"old" and files(blend.parent) == {output.name}
 
 

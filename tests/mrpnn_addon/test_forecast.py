@@ -82,16 +82,16 @@ def test_black_lights_are_ignored(addon, scene, cloud, said):
     assert said().suns == 2 and said().world and said().seconds > one.seconds
 
 
-def test_a_volume_without_a_file_takes_no_time(addon, scene, cloud, said):
+def test_a_volume_without_a_file_takes_no_time_and_is_not_counted(addon, scene, cloud, said):
     alone = said()
     lost = cloud.copy()
     lost.data = cloud.data.copy()
     lost.data.filepath = "//missing.vdb"
     scene.collection.objects.link(lost)
     both = said()
-    assert (both.volumes, both.pixels, both.seconds) == (2, alone.pixels, alone.seconds)
+    assert (both.volumes, both.pixels, both.seconds) == (1, alone.pixels, alone.seconds)
     bpy.data.objects.remove(cloud)
-    assert said().volumes == 1 and said().seconds < alone.seconds
+    assert (said().volumes, said().empty) == (0, 1) and said().seconds < alone.seconds
 
 
 def test_only_pixels_in_the_box_count(addon, scene, cloud, said):

@@ -171,7 +171,7 @@ def test_hidden_and_empty_lamps_are_left_out_by_name(addon, scene, tmp_path):
     add_lamp(scene, "POINT").visible_volume_scatter = False
     described = read(addon)
     assert not described.lamps
-    assert described.warnings == ['point light "Lamp" lights nothing that is rendered and is left out']
+    assert described.warnings == ['point light "Lamp" lights nothing that is rendered (left out)']
 
 
 def test_the_default_scene_needs_nothing_deleted(addon, tmp_path):

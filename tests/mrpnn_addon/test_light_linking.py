@@ -124,7 +124,7 @@ def test_lights_hidden_from_volumes_light_the_ground(addon, scene, two):
     sun.visible_volume_scatter = False
     blender_scenes.add_sun(scene, "Other")
     described = read(addon)
-    assert described.warnings == ['sun "Sun" lights nothing that is rendered and is left out']
+    assert described.warnings == ['sun "Sun" lights nothing that is rendered (left out)']
     assert [light.name for light in described.lights] == ['sun "Other"']
     bpy.ops.mesh.primitive_plane_add(size=9.0, location=(0.0, 0.0, -1.0))
     (linked,) = [light for light in read(addon).lights if light.receivers is not None]

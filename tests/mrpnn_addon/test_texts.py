@@ -3,6 +3,7 @@
 
 import ast
 import os
+import re
 import shutil
 import sys
 
@@ -64,6 +65,30 @@ def test_texts_reach_blender_through_one_module():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in TEXT_METHODS:
                 given = [*node.args, *(keyword.value for keyword in node.keywords)]
                 assert all(isinstance(value, ast.Constant) for value in given), f"{path}:{node.lineno}"
+
+
+def test_messages_about_what_is_left_out_have_one_end():
+    """Users and docs know such a message by its end, so a sentence does not say it in words of its own."""
+    written = []
+    for path in sorted(
+        path for folder in ("mrpnn_addon", "operators", "panels") for path in (ROOT / folder).rglob("*.py")
+    ):
+        tree = ast.parse(path.read_text())
+        documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+        docs = {
+            node.body[0].value for node in ast.walk(tree) if isinstance(node, documented) and ast.get_docstring(node)
+        }
+        written += [
+            (path.relative_to(ROOT).as_posix(), node.value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in docs
+            if re.search("(left|leaves?) out", node.value)
+        ]
+    assert written == [
+        ("mrpnn_addon/objects/visibility.py", " (left out)"),
+        # The plan of `--command mrpnn report`: lights that do not change the picture.
+        ("operators/command_actions.py", "  leaves out "),
+    ]
 
 
 def test_safe_texts_show_the_bytes_and_reports_never_raise(addon, capfd):

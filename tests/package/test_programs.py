@@ -115,7 +115,7 @@ def test_an_animation_without_its_volume_goes_on_and_says_so(program, frames):
     run = program("-b", folder / "broken.blend", "-E", "MRPNN", "-o", folder / f"broken{len(frames)}_##", *frames)
     said = run.stdout + run.stderr
     assert run.returncode == 0, said
-    assert 'Volume object "Ball": file not found' in said and "frame 2" in said
+    assert 'volume "Ball": file not found' in said and "frame 2" in said
     assert len(list(folder.glob(f"broken{len(frames)}_*"))) == 2
 
 

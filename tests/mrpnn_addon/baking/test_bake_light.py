@@ -106,6 +106,16 @@ def state_of_file() -> dict:
     return found
 
 
+def test_light_of_an_unsaved_file_is_kept_by_saving_it(addon, scene, cloud, tmp_path, capfd):
+    assert not bpy.data.filepath and bpy.ops.mrpnn.bake_light(directional=False) == {"FINISHED"}
+    assert "save the file to keep it" in capfd.readouterr().out
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    (light,) = lights()
+    path = bpy.path.abspath(light.data.filepath)
+    assert os.path.samefile(os.path.dirname(path), tmp_path / "baked_light") and os.path.getsize(path) > 0
+
+
 def test_removal_restores_the_saved_file(addon, scene, cloud, tmp_path):
     scene.render.engine = "MRPNN"
     blend = str(tmp_path / "scene.blend")

@@ -187,11 +187,15 @@ def test_an_invalid_volume_is_named_and_the_others_are_rendered(addon, scene, cl
     found, warned = alpha_of(addon, scene)
     np.testing.assert_array_equal(found, alone)
     assert warning in warned
+    # Panels ask too, at every redraw. Only of a file can they tell without reading it that it is missing.
+    told = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
+    if mistake is missing_file:
+        assert (told.volumes, told.empty) == (1, 1)
+        assert told.warnings == ['volume "Second" is empty, or its file is missing (left out)']
     # With nothing else to render it is an error with the same message.
     bpy.data.objects.remove(cloud)
     message = refusal(addon)
     assert message.startswith("no volume is left to render: ") and said in message
-    # Panels ask too, at every redraw.
     addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
 
 
@@ -347,13 +351,13 @@ def test_a_volume_of_scale_0_is_nothing_in_that_frame(addon, scene, cloud, alone
     second.scale = scale
     found, warned = alpha_of(addon, scene)
     np.testing.assert_array_equal(found, alone)
-    assert warned == ['volume "Second" has scale 0 in frame 1 and is left out'] and not read(addon).refused
+    assert warned == ['volume "Second" has scale 0 in frame 1 (left out)'] and not read(addon).refused
     forecast = addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph())
     assert forecast.volumes == 1
     # Alone, the picture is empty.
     bpy.data.objects.remove(cloud)
     found, warned = alpha_of(addon, scene)
-    assert not found.any() and warned == ['volume "Second" has scale 0 in frame 1 and is left out']
+    assert not found.any() and warned == ['volume "Second" has scale 0 in frame 1 (left out)']
 
 
 @pytest.mark.parametrize(
@@ -409,7 +413,7 @@ def test_an_animation_that_begins_at_scale_0_or_density_0_is_rendered_from_the_s
     assert peaks[0] == peaks[1] == 0.0 and peaks[2] > 0.3
     for frame, said in ((1, "has scale 0 in frame 1"), (2, "is empty in frame 2")):
         scene.frame_set(frame)
-        assert read(addon).warnings == [f'volume "Cloud" {said} and is left out']
+        assert read(addon).warnings == [f'volume "Cloud" {said} (left out)']
 
 
 def test_a_sequence_that_begins_with_an_empty_grid_starts_with_empty_pictures(addon, scene, cloud, tmp_path):
@@ -421,7 +425,7 @@ def test_a_sequence_that_begins_with_an_empty_grid_starts_with_empty_pictures(ad
     cloud.data.is_sequence, cloud.data.frame_start, cloud.data.frame_duration = True, 1, 2
     scene.frame_set(1)
     found, warned = alpha_of(addon, scene)
-    assert not found.any() and warned == ['volume "Cloud" is empty in frame 1 and is left out']
+    assert not found.any() and warned == ['volume "Cloud" is empty in frame 1 (left out)']
     scene.frame_set(2)
     assert alpha_of(addon, scene)[0].any()
 
@@ -458,10 +462,10 @@ def test_the_command_line_is_strict_on_request(addon, scene, cloud, tmp_path, ca
     for action in (["render", "--output", str(output)], ["report"]):
         assert command([*action, "--strict", "--json", str(tmp_path / "facts.json")]) == 1
         said = capsys.readouterr().err
-        assert said.startswith('mrpnn: error: Volume object "Second": file not found') and said.count("\n") == 1
+        assert said.startswith('mrpnn: error: volume "Second": file not found') and said.count("\n") == 1
         assert "gone.vdb" in json.loads((tmp_path / "facts.json").read_text())["error"] and not output.exists()
         assert command(action) == 0
-        assert 'mrpnn: warning: Volume object "Second": file not found' in capsys.readouterr().err
+        assert 'mrpnn: warning: volume "Second": file not found' in capsys.readouterr().err
         assert output.exists() == (action[0] == "render")
         output.unlink(missing_ok=True)
     # A volume that has not begun is no error.
@@ -533,4 +537,4 @@ def test_glass_around_the_only_volume_is_named(addon, scene):
     blender_scenes.add_sun(scene)
     blender_scenes.add_camera(scene)
     message = refusal(addon)
-    assert '"Tank" is transparent' in message and "unlink its surface" in message
+    assert '"Tank": a volume inside a transparent surface' in message and "unlink its surface" in message

@@ -46,7 +46,7 @@ def test_a_volume_hidden_from_the_camera_is_left_out_by_name(addon, two, how, wo
     found = read(addon)
     assert [volume.name for volume, _ in found.volumes] == ["Cloud"]
     (warning,) = [text for text in found.warnings if '"Second"' in text]
-    assert word in warning and "left out" in warning
+    assert word in warning and warning.endswith("(left out)")
     assert addon.mrpnn_addon.status.forecast.forecast(blender_scenes.depsgraph()).volumes == 1
 
 

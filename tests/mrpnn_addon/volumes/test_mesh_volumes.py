@@ -95,7 +95,7 @@ def test_a_fluid_domain_without_smoke_is_no_box_of_fog(addon, scene):
         not described.volumes
         and not addon.mrpnn_addon.engine.render_job.render_scene(described, Settings()).layer.alpha.any()
     )
-    assert f'volume "{fog.name}" has no smoke in frame 1 and is left out' in described.warnings
+    assert f'volume "{fog.name}" has no smoke in frame 1 (left out)' in described.warnings
     # Liquids are meshes.
     modifier.domain_settings.domain_type = "LIQUID"
     assert len(read(addon).volumes) == 1
@@ -229,7 +229,7 @@ def test_a_mesh_with_a_surface_is_no_volume(addon, scene, tmp_path):
     tree.links.new(glass.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
     described = read(addon)
     assert [volume.name for volume, _ in described.volumes] == ["Cloud"]
-    assert any('"Glass" is transparent' in warning for warning in described.warnings)
+    assert any('"Glass": a volume inside a transparent surface' in warning for warning in described.warnings)
 
 
 SURFACES = {
@@ -275,7 +275,9 @@ def test_a_surface_that_lets_all_light_pass_is_none(addon, scene, tmp_path, surf
         described = read(addon)
         # A holdout hides what is behind it, its own fog too.
         said = (
-            "hides the fog of its own" if surface == "holdout" else "is transparent and left out, and so is the volume"
+            "hides the fog of its own"
+            if surface == "holdout"
+            else "a volume inside a transparent surface is not rendered"
         )
         assert any('"Fog"' in text and said in text for text in described.warnings)
 
@@ -288,7 +290,7 @@ def test_a_mesh_with_faces_of_another_material_says_which_it_needs(addon, scene,
     mesh = scene.objects["Fog"].data
     mesh.materials.append(bpy.data.materials.new(other) if other else None)
     mesh.polygons[0].material_index = 1
-    said = '"Fog" is left out: some of its faces have no volume in their material'
+    said = '"Fog": some of its faces have no volume in their material'
     with pytest.raises(SceneError, match=said):
         read(addon)
     mesh.polygons[0].material_index = 0

@@ -71,7 +71,7 @@ def test_frames_before_a_sequence_begins_are_empty(addon, scene, tmp_path):
     lit(scene)
     scene.frame_set(9)
     described = read(addon)
-    assert described.warnings == ['volume "Cloud" has no file for frame 9 and is left out']
+    assert described.warnings == ['volume "Cloud" has no file for frame 9 (left out)']
     finished = addon.mrpnn_addon.engine.render_job.render_scene(described, Settings(), str(tmp_path / "9.exr"))
     assert (tmp_path / "9.exr").is_file() and finished.warnings[:1] == described.warnings
     width, height = described.camera.resolution
