@@ -404,7 +404,7 @@ def _open_groups(
             visible = open_volume(group.volume, stopping, eye, cancel)
         with context.report.stage("fields"):
             members = [(visible, group.medium)]
-            coarser = group.predictor.coarser
+            coarser = group.predictor.resolution
             opened.append(context.cache.group(scene.network, members, [], number, coarser, cancel))
     return opened
 

@@ -22,6 +22,7 @@ from .network.network import load_network
 from .network.predictor import VolumePredictor
 from .network.uncertainty import UncertaintyNetwork, has_uncertainty, load_uncertainty_network
 from .plan.overlap import group_name
+from .plan.resolution import USUAL, Coarser
 from .runtime.cancellation import NEVER, CancelToken
 from .runtime.tasks import Tasks
 from .scene.description import Medium, Surface, Volume
@@ -141,24 +142,23 @@ class RenderCache:
         members: Members,
         grids: Sequence[Grid],
         number: int,
-        coarser: int = 0,
+        coarser: Coarser = USUAL,
         cancel: CancelToken = NEVER,
     ) -> ScatteringGroup:
         """The ScatteringGroup of some volumes.
 
-        grids: Grid of each member. number: of the group in its render; replaces the group that had it before. coarser:
-        as of VolumePredictor.
+        grids: Grid of each member. number: of the group in its render; replaces the group that had it before.
         """
         with cancel.locked(self._lock):
             volume, medium = members[0] if len(members) == 1 else self._merge(members, grids, number, cancel)
             known: VolumePredictor | None = self._predictors.get(number)
-            if known is None or known.coarser != coarser or not _serves(known, network, volume, medium):
+            if known is None or known.resolution != coarser or not _serves(known, network, volume, medium):
                 self._predictors.pop(number, None)
                 bounds = grids[0].voxels.filled if len(grids) == 1 else None
-                cube = fit_cube(volume, bounds)
+                cube = replace(fit_cube(volume, bounds), finest=coarser.density)
                 key = id(network), volume.voxels_key, cube.in_voxels(volume)
                 like = self._instances.get((*key, medium.anisotropy), self._instances.get(key))
-                known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, like, coarser)
+                known = VolumePredictor(network, volume, medium.anisotropy, cancel, cube, like, coarser.transport)
                 self._predictors[number] = self._instances[*key, medium.anisotropy] = self._instances[key] = known
             return ScatteringGroup(volume, medium, known)
 

@@ -10,7 +10,7 @@ from inference.features.mip_lattices import density_pyramid
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
 from inference.grids.optical_depth_sweep import sun_optical_depth
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import fit_cube, mean_density
 from inference.marching.marcher import Marcher, ray_features_at
 from inference.marching.ray_features import SCALES
 from inference.marching.ray_march import MarchOptions
@@ -118,7 +118,7 @@ def mass():
     """The mass in the working cube's 256³ cells and in their pyramid, against that of the voxels."""
     volume = placed(np.exp(12.0 * np.random.default_rng(3).random((20, 14, 17))))
     cube = fit_cube(volume)
-    cells = level0_density(volume, cube)
+    cells = mean_density(volume, cube)
     voxel = np.linalg.det(volume.world_from_index[:3, :3])
     truth = volume.density.sum(dtype=np.float64) * voxel / cube.edge**3
     top = float(density_pyramid(cells)[-1][0, 0, 0])

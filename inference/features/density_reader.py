@@ -21,7 +21,7 @@ SHARED_RANGE = 16.0
 class DensityReader:
     """The padded pyramid of a volume, and its lattices for the last optical thickness. Safe on several threads.
 
-    extent: lowest and highest coordinates (3,), in the cube's frame, of points with density. readers: instances that
+    stencil: whose points read it; levels finer than its finest do not exist. extent: lowest and highest coordinates (3,), in the cube's frame, of points with density. readers: instances that
     read it, perhaps of several sizes. Raises Cancelled.
     """
 
@@ -35,7 +35,8 @@ class DensityReader:
         self._shared: weakref.WeakValueDictionary[float, Lattices] = weakref.WeakValueDictionary()
 
     def level(self, m: int) -> np.ndarray:
-        """The cells of level m that lie in the cube."""
+        """The cells of level m that lie in the cube, or of the finest."""
+        m = max(m, self.stencil.finest)
         return inner_cells(self.padded[m], m, self.stencil)
 
     def lattices(self, sigma_hat: float, tasks: AnyTasks) -> Lattices:

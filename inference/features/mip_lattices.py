@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..grids.halving import halve
-from ..grids.working_cube import Cube, extent, level0_density
+from ..grids.working_cube import Cube, extent, mean_density
 from ..kernels import structures
 from ..kernels.library import call
 from ..plan.resolution import LEVEL0_CELLS
@@ -22,7 +22,8 @@ from .stencil import MIPS, Stencil
 
 # The density feature is log(1 + sigma_hat * density / DENSITY_SCALE).
 DENSITY_SCALE = 64.0
-# Fine cells of the lookup lattice per cell of a mip: a lookup of the nearest fine cell replaces a trilinear lookup.
+# Fine cells of the lookup lattice per cell of a mip, 1 for the finest that is read: a lookup of the nearest fine cell
+# replaces a trilinear lookup.
 FINE = (1, 2, 2, 2, 4, 8, 16, 16)
 # Features are quantized to 16 bits: this many steps up to the largest value.
 QUANTA = 65535
@@ -45,22 +46,31 @@ def margins(stencil: Stencil) -> list[int]:
     return [int(np.ceil(reach * (LEVEL0_CELLS >> m))) + 1 for m, reach in enumerate(stencil.reaches)]
 
 
+def fine_cells(m: int, stencil: Stencil) -> int:
+    """Fine cells per cell of mip m, along an edge."""
+    return 1 if m == stencil.finest else FINE[m]
+
+
 def padded_levels(pyramid: Sequence[np.ndarray], stencil: Stencil) -> list[np.ndarray]:
     """Levels 0 to 7, padded with their margins of zeros."""
     return [np.pad(level, margin) for level, margin in zip(pyramid, margins(stencil))]
 
 
 def padded_pyramid(volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelToken = NEVER) -> list[np.ndarray]:
-    """As `padded_levels` of a volume's density, without copies of the levels. Raises Cancelled."""
+    """As `padded_levels` of a volume's density, without copies of the levels, and empty below the finest that is read.
+
+    Raises Cancelled.
+    """
     padded = [
-        np.zeros(((LEVEL0_CELLS >> m) + 2 * margin,) * 3, np.float32) for m, margin in enumerate(margins(stencil))
+        np.zeros(((LEVEL0_CELLS >> m) + 2 * margin if m >= stencil.finest else 0,) * 3, np.float32)
+        for m, margin in enumerate(margins(stencil))
     ]
-    level0_density(volume, cube, cancel, inner_cells(padded[0], 0, stencil))
+    mean_density(volume, cube, cancel, inner_cells(padded[stencil.finest], stencil.finest, stencil))
     # Of the others, what the volume reaches alone.
-    first, end = _reached(extent(volume, cube))
-    for m in range(1, len(padded)):
+    reached = _reached(extent(volume, cube))
+    for m in range(stencil.finest + 1, len(padded)):
         cancel.check()
-        first, end = first // 2, -(-end // 2)
+        first, end = reached[0] >> m, -(-reached[1] >> m)
         fine, coarse = (inner_cells(padded[of], of, stencil) for of in (m - 1, m))
         halve(fine[_box(2 * first, 2 * end)], coarse[_box(first, end)])
     return padded
@@ -131,11 +141,14 @@ class ThinnerLattices(Lattices):
 
 def _fine_span(m: int, stencil: Stencil, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fine cells of mip m that stencils around points from low to high (3,) can read: first, last + 1."""
-    margin, reach, scale = margins(stencil)[m], stencil.reaches[m], (LEVEL0_CELLS >> m) * FINE[m]
-    cells = scale + 2 * margin * FINE[m]
+    if m < stencil.finest:
+        return np.zeros(3, int), np.zeros(3, int)
+    fine = fine_cells(m, stencil)
+    margin, reach, scale = margins(stencil)[m], stencil.reaches[m], (LEVEL0_CELLS >> m) * fine
+    cells = scale + 2 * margin * fine
     # A cell more on either side, for rounding.
-    first = np.floor((low - reach + 0.5) * scale).astype(int) + margin * FINE[m] - 1
-    last = np.floor((high + reach + 0.5) * scale).astype(int) + margin * FINE[m] + 2
+    first = np.floor((low - reach + 0.5) * scale).astype(int) + margin * fine - 1
+    last = np.floor((high + reach + 0.5) * scale).astype(int) + margin * fine + 2
     return np.clip(first, 0, cells - 1), np.clip(last, 1, cells)
 
 
@@ -209,7 +222,7 @@ def fill_lattices(
         Lattice(
             values[end - np.prod(last - first) : end].reshape(last - first),
             -0.5 - margin[m] / (LEVEL0_CELLS >> m),
-            float((LEVEL0_CELLS >> m) * FINE[m]),
+            float((LEVEL0_CELLS >> m) * fine_cells(m, stencil)),
             first,
         )
         for m, (end, (first, last)) in enumerate(zip(ends, spans))
@@ -219,7 +232,7 @@ def fill_lattices(
         """Planes of a mip from `start` on."""
         n, (first, last) = LEVEL0_CELLS >> m, spans[m]
         block = levels[m].values[start : start + planes[m]]
-        centres = [(np.arange(a, b) + 0.5) / (n * FINE[m]) - margin[m] / n for a, b in zip(first, last)]
+        centres = [(np.arange(a, b) + 0.5) / (n * fine_cells(m, stencil)) - margin[m] / n for a, b in zip(first, last)]
         centres[0] = centres[0][start : start + planes[m]]
         most = max((LEVEL0_CELLS >> of) + 2 * margin[of] for of in (m, max(m, 1)))
         scratch = np.empty(2 * block.shape[2] + most, np.float32)
@@ -227,8 +240,9 @@ def fill_lattices(
         call("fill_lattice", shape=np.array(block.shape), packed=block, scratch=scratch, **fields)
 
     # Small blocks, so that a cancelled render ends soon.
-    planes = [max(CELLS_PER_TASK // level.values[0].size, 1) for level in levels]
-    tasks = [(m, start) for m in range(MIPS) for start in range(0, len(levels[m].values), planes[m])]
+    read = range(stencil.finest, MIPS)
+    planes = {m: max(CELLS_PER_TASK // levels[m].values[0].size, 1) for m in read}
+    tasks = [(m, start) for m in read for start in range(0, len(levels[m].values), planes[m])]
     list(mapper(lambda task: build(*task), tasks))
     return Lattices(values, levels, step)
 
@@ -242,12 +256,12 @@ def density_lattices(
 ) -> Lattices:
     """Lattices of the density feature for one optical thickness.
 
-    padded: from `padded_levels`. sigma_hat: extinction per unit density times the cube's edge. extent, mapper: as for
+    padded: from `padded_pyramid`. sigma_hat: extinction per unit density times the cube's edge. extent, mapper: as for
     `fill_lattices`. Density is interpolated before taking the logarithm.
     """
     scale = np.float32(sigma_hat / DENSITY_SCALE)
     # No mean exceeds the largest of its terms.
-    step = max(np.log(np.float32(1.0) + scale * padded[0].max()) / np.float32(QUANTA), np.float32(1e-12))
+    step = max(np.log(np.float32(1.0) + scale * padded[stencil.finest].max()) / np.float32(QUANTA), np.float32(1e-12))
 
     def filling(cells: FineCells) -> dict[str, Any]:
         density = cells.between(cells.mip).described(padded[cells.mip])

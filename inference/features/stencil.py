@@ -30,8 +30,8 @@ class Stencil:
     """Points of the stencil, in units of the working cube's edge.
 
     low: float32 (160, 3), offsets in the frame of `frames`. high: float32 (32,), distances towards the sun.
-    every: 1, or SPARSE for a stencil that keeps only every fourth point of each layer. mips: int (192 / every,), mip
-    level of each point.
+    every: 1, or SPARSE for a stencil that keeps only every fourth point of each layer. finest: mip level that points of
+    finer levels are read at. mips: int (192 / every,), mip level of each point.
 
     Raises ValueError for other numbers of points.
     """
@@ -39,6 +39,7 @@ class Stencil:
     low: np.ndarray
     high: np.ndarray
     every: int = 1
+    finest: int = 0
     mips: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -47,7 +48,8 @@ class Stencil:
             raise ValueError(f"stencil of {self.low.shape} and {self.high.shape} points is not A.2's")
         object.__setattr__(self, "low", np.ascontiguousarray(self.low, np.float32))
         object.__setattr__(self, "high", np.ascontiguousarray(self.high, np.float32))
-        object.__setattr__(self, "mips", np.repeat(LAYER_MIPS, LAYER_POINTS)[:: self.every])
+        mips = np.repeat(LAYER_MIPS, LAYER_POINTS)[:: self.every]
+        object.__setattr__(self, "mips", np.maximum(mips, self.finest))
 
     @classmethod
     def read(cls, values: np.ndarray, every: int = 1) -> "Stencil":

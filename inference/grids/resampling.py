@@ -14,8 +14,16 @@ from .occupancy import Occupancy
 
 # Points that are evaluated at a time.
 POINTS_PER_BATCH = 1 << 20
+
+
+def inner_points(times: int) -> np.ndarray:
+    """times x times x times points in a voxel (P, 3), from its centre."""
+    along = (np.arange(times) + 0.5) / times - 0.5
+    return np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
 #: 2 x 2 x 2 points in a voxel, beside its centre.
-INNER = np.stack(np.meshgrid(*[[-0.25, 0.25]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+INNER = inner_points(2)
 
 
 @dataclass(frozen=True)

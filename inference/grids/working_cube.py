@@ -21,7 +21,7 @@ from .bounds import active_bounds
 from .dense_grid import DenseGrid
 from .described import describe_blocks
 from .occupancy import Occupancy
-from .resampling import INNER, Placement, resample
+from .resampling import Placement, inner_points, resample
 
 # Axes of a transform count as perpendicular below this cosine.
 PERPENDICULAR = 1e-4
@@ -36,7 +36,8 @@ class Cube:
     """Where the working cube lies in the world.
 
     rotation: float64 (3, 3), columns are the cube's axes in the world. centre: float64 (3,), world. edge: world units.
-    low, high: int (3,), first and one past the last active voxel on each axis.
+    low, high: int (3,), first and one past the last active voxel on each axis. finest: level of the density pyramid
+    that is read of it where a finer one would be.
     """
 
     rotation: np.ndarray
@@ -44,6 +45,7 @@ class Cube:
     edge: float
     low: np.ndarray
     high: np.ndarray
+    finest: int = 0
 
     @property
     def key(self) -> bytes:
@@ -51,12 +53,12 @@ class Cube:
         return b"".join((self.rotation.tobytes(), self.centre.tobytes(), np.float64(self.edge).tobytes()))
 
     def in_voxels(self, volume: Volume) -> bytes:
-        """Equal for instances of a volume whose cubes lie alike in its voxels, to SAME_PLACE of one."""
+        """Equal for instances of a volume whose cubes lie alike in its voxels, to SAME_PLACE of one, and are read alike."""
         index_from_world = affine_inverse(volume.world_from_index)
         axes = index_from_world[:3, :3] @ self.rotation * self.edge
         centre = index_from_world[:3, :3] @ self.centre + index_from_world[:3, 3]
         # Adding 0 turns -0 into 0.
-        return (np.round(np.column_stack([axes, centre]) / SAME_PLACE) + 0.0).tobytes()
+        return (np.round(np.column_stack([axes, centre]) / SAME_PLACE) + 0.0).tobytes() + bytes([self.finest])
 
     def positions(self, world: np.ndarray) -> np.ndarray:
         """World positions (..., 3) in the cube's frame."""
@@ -119,27 +121,28 @@ def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
     return ((integral[1:] - integral[:-1]) / width).astype(np.float32)
 
 
-def level0_density(
+def mean_density(
     volume: Volume, cube: Cube, cancel: CancelToken = NEVER, out: np.ndarray | None = None
 ) -> np.ndarray:
-    """Mean density in each cell of the cube: float32 (256, 256, 256).
+    """Mean density in each cell of the cube: float32 (n, n, n).
 
     Exact means of the trilinear interpolant where grid and cube share their axes; for sheared transforms the mean of
-    2 x 2 x 2 points per cell. out: zeros to fill, or None. Raises Cancelled.
+    2 x 2 x 2 points per cell of level 0. out: zeros (n, n, n) to fill, None for level 0 of the pyramid. Raises Cancelled.
     """
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32) if out is None else out
+    n = len(cells)
     index_from_world = affine_inverse(volume.world_from_index)
     index_from_cube = index_from_world[:3, :3] @ cube.rotation * cube.edge
     origin = index_from_world[:3, :3] @ cube.centre + index_from_world[:3, 3] - cube.low
     scale = np.diag(index_from_cube)
     if np.abs(index_from_cube - np.diag(scale)).max() > PERPENDICULAR * np.abs(scale).max():
-        linear = index_from_cube / LEVEL0_CELLS
-        centre = origin + cube.low + linear @ np.full(3, 0.5 - LEVEL0_CELLS / 2)
+        linear = index_from_cube / n
+        centre = origin + cube.low + linear @ np.full(3, 0.5 - n / 2)
         grid = volume.density if isinstance(volume.density, SparseGrid) else DenseGrid(volume.density)
         occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.cell, grid.cells_first)
-        resample(grid, 1, occupancy, Placement(linear, centre, INNER @ linear.T), cells, cancel)
+        resample(grid, 1, occupancy, Placement(linear, centre, inner_points(2 * LEVEL0_CELLS // n) @ linear.T), cells, cancel)
         return cells
-    edges = np.linspace(-0.5, 0.5, LEVEL0_CELLS + 1)
+    edges = np.linspace(-0.5, 0.5, n + 1)
     weights = [_cell_weights(edges * scale[axis] + origin[axis], cube.high[axis] - cube.low[axis]) for axis in range(3)]
     firsts, bands = zip(*map(_banded, weights))
     _mean_cells(volume.density, cube, (firsts, bands), cells, cancel)
@@ -159,7 +162,7 @@ def _mean_cells(
     else:
         grid = structures.Grid(values=np.ascontiguousarray(density, np.float32), shape=np.array(density.shape))
     firsts, weights = bands
-    widths, n, voxels = [band.shape[1] for band in weights], LEVEL0_CELLS, cube.high - cube.low
+    widths, n, voxels = [band.shape[1] for band in weights], len(cells), cube.high - cube.low
     planes = np.full(widths[0], -1, np.int64)
     scratch = np.empty(widths[0] * n * n + voxels[1] * (voxels[2] + n), np.float32)
     for start in range(0, n, PLANES):

@@ -203,7 +203,7 @@ typedef struct {
     int64_t iterations;          /* at most, in this call */
 } Diffusion;
 
-/* Means of a grid's interpolant over cells of the working cube: working_cube.level0_density. */
+/* Means of a grid's interpolant over cells of the working cube: working_cube.mean_density. */
 typedef struct {
     Grid density;                /* dense: `shape` of `values` without padding; sparse: as for rays */
     int64_t low[3];              /* the first active voxel */

@@ -12,6 +12,7 @@ from ..environments.surface_irradiance import SurfaceIrradiance
 from ..grids.working_cube import Cube, extent, fit_cube
 from ..occluders.occluders import NO_OCCLUDERS, Occluders
 from ..plan.plan import distinct_albedos
+from ..plan.resolution import Coarser
 from ..runtime.cancellation import NEVER, CancelToken
 from ..runtime.tasks import SERIAL, AnyTasks
 from ..scene.description import Medium, Volume
@@ -82,6 +83,11 @@ class VolumePredictor:
         self._lock = threading.Lock()
         # The last of each class of light.
         self._last: dict[type, tuple[Hashable, RadiancePredictor]] = {}
+
+    @property
+    def resolution(self) -> Coarser:
+        """How finely it resolves the volume."""
+        return Coarser(transport=self.coarser, density=self.cube.finest)
 
     @property
     def kind(self) -> Hashable:

@@ -135,8 +135,8 @@ class RayPredictor(Predictor):
         cancel: CancelToken = NEVER,
     ):
         self.network, self.cube, self.anisotropy = network, cube, anisotropy
-        self._lock = threading.Lock()
-        self.volume, self.density = volume, DensityReader(volume, cube, network.points, cancel)
+        self._lock, self._stencil = threading.Lock(), replace(network.points, finest=cube.finest)
+        self.volume, self.density = volume, DensityReader(volume, cube, self._stencil, cancel)
         #: What instances share, by `coarser` of their cells.
         self._sharing = {0: _Instances(self.density, 0)}
         self._shared = self._sharing[0]
@@ -206,7 +206,7 @@ class RayPredictor(Predictor):
             gather = functools.partial(_itself, held)
         prepared = self._shared.prepared[conditions.key] = PreparedRays(
             network=self.network,
-            lookup=FieldLookup(self.network.points, lattices, light.direction),
+            lookup=FieldLookup(self._stencil, lattices, light.direction),
             source=light,
             light=FluenceLattice(solved.cells),
             gather=gather,
@@ -255,13 +255,13 @@ class RayPredictor(Predictor):
                     solved = reaching(solved, lambda at: skies.shares(self.cube.world(at)), len(skies.weights))
                 self._environment = shared.environments[key] = _SolvedEnvironment(key, solved)
             depths, (light, absorbed) = shared.depths, self._environment.lattices
-        lookup = FieldLookup(self.network.points, lattices, conditions.light.direction)
+        lookup = FieldLookup(self._stencil, lattices, conditions.light.direction)
         return PreparedEnvironment(
             network=network,
             cube=self.cube,
             skies=skies,
             lookup=lookup,
-            low=len(self.network.points.low),
+            low=len(self._stencil.low),
             depths=depths,
             light=light,
             absorbed=absorbed,

@@ -9,7 +9,7 @@ from ..numerics.small_matmul import inverse
 from ..scene.description import Sun, Volume
 from ..scene.lamps import Lamp
 from ..scene.sparse_grid import SparseGrid
-from .resolution import LEVEL0_CELLS, refinement
+from .resolution import LEVEL0_CELLS, Coarser, refinement
 from .sun_columns import column_bytes
 
 # Columns and slices, along an edge, of the optical depths towards a lamp, at most.
@@ -72,21 +72,26 @@ def _depth_bytes(volume: Volume, direction: np.ndarray) -> int:
     return volume.density.size * refinement(volume.density.shape) ** 3 * VOXEL_SUN_BYTES
 
 
-def field_bytes(groups: Sequence[Sequence[Volume]], coarser: Sequence[int], lights: int, from_everywhere: bool) -> int:
+def field_bytes(
+    groups: Sequence[Sequence[Volume]], coarser: Sequence[Coarser], lights: int, from_everywhere: bool
+) -> int:
     """Bytes of what networks read in groups of volumes.
 
-    coarser: octaves by which cells of a group's coarse transport are larger than usual. lights: how many there are
-    besides light from everywhere.
+    coarser: of each group. lights: how many there are besides light from everywhere.
     """
-    shapes = {tuple(volume.voxels_key for volume in group) if len(group) == 1 else id(group) for group in groups}
+    shapes = {
+        (group[0].voxels_key if len(group) == 1 else id(group), octaves.density)
+        for group, octaves in zip(groups, coarser)
+    }
     # Groups of several volumes are not compared.
     places = {
-        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()) if len(group) == 1 else id(group): octaves
+        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()) if len(group) == 1 else id(group): octaves.transport
         for group, octaves in zip(groups, coarser)
     }
     environments = from_everywhere * ENVIRONMENT_BYTES * len(shapes)
     held = sorted((LIGHT_BYTES >> 3 * octaves for octaves in places.values()), reverse=True)
-    further = max(len(shapes) - 1, 0) * FURTHER_BYTES + sum(held[1:]) * max(lights, 1)
+    fields = sorted(FURTHER_BYTES >> density for _, density in shapes)
+    further = sum(fields[:-1]) + sum(held[1:]) * max(lights, 1)
     return FIELD_BYTES + environments + further
 
 

@@ -46,7 +46,7 @@ from .memory import (
 )
 from .overlap import group_name, overlapping
 from .precision import Rescaled, in_range
-from .resolution import BAND
+from .resolution import BAND, Coarser
 
 # Bands along an edge of a tile, which one thread renders: the larger, the more points per network call. An image is cut
 # into so many tiles per thread at least, where it is large enough, that none waits long for the last one; into fewer
@@ -111,7 +111,7 @@ class Plan(SceneLights):
     groups: list[list[int]]
     multiple: list[bool]
     scattered_emission: list[bool]
-    coarser: list[int]
+    coarser: list[Coarser]
     once_per_ray: list[bool]
     coarser_shadows: list[int]
     optimizations: frozenset[str]

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..grids.halving import halve
-from ..grids.working_cube import Cube, level0_density
+from ..grids.working_cube import Cube, mean_density
 from ..runtime.cancellation import NEVER, CancelToken
 from ..scene.description import Volume
 from .discrete_ordinates import CellSource, DiscreteOrdinates
@@ -49,7 +49,7 @@ class CoarseAlbedo:
         self.channels = []
         for grid in volume.scattering:
             part = Volume(grid, volume.world_from_index, volume.name)
-            scattering = _cells(level0_density(part, cube, cancel), len(coarse))
+            scattering = _cells(mean_density(part, cube, cancel), len(coarse))
             albedo = np.divide(scattering, self.density, out=np.zeros_like(scattering), where=self.density > 0.0)
             self.channels.append(np.clip(albedo, 0.0, 1.0))
         filled = self.density > NEGLIGIBLE * self.density.max()

@@ -28,7 +28,7 @@ from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.resampling import Placement, resample
 from inference.grids.sparse_columns import SparseColumns
 from inference.grids.sun_optical_depth import SunOpticalDepth
-from inference.grids.working_cube import Cube, level0_density
+from inference.grids.working_cube import Cube, mean_density
 from inference.kernels import library
 from inference.kernels.library import Kernels, call
 from inference.marching.light_paths import PathTracer, ScatteringMedia
@@ -247,7 +247,7 @@ def pyramid(random: np.random.Generator) -> None:
     density = grid if isinstance(grid, SparseGrid) else np.ascontiguousarray(grid.padded[1:-2, 1:-2, 1:-2])
     volume = SimpleNamespace(density=density, world_from_index=matrix)
     cube = Cube(np.eye(3), random.normal(size=3), float(random.uniform(0.1, 3.0) * shape.max()), 0 * shape, shape)
-    level = level0_density(volume, cube)
+    level = mean_density(volume, cube)
     part = level[:14, :18, :10] if random.random() < 0.5 else spoiled(random, (14, 18, 10))
     halve(part, np.empty((7, 9, 5), np.float32))
     source, fine = tuple(random.integers(2, 9, 3).tolist()), tuple(random.integers(1, 20, 3).tolist())

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from inference import Sun
 from inference.features.mip_lattices import density_pyramid, padded_levels
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import fit_cube, mean_density
 from inference.models import weights_file
 from inference.network import network
 from inference.network.conditions import RayPoints
@@ -126,7 +126,7 @@ def data():
     sigma = np.exp(random.uniform(0.0, 6.0, count))
     positions, valid = sample_scattering_points(volume.density, sigma, omega, seed=1)
     assert valid.all()
-    padded = padded_levels(density_pyramid(level0_density(volume, cube)), stencil)
+    padded = padded_levels(density_pyramid(mean_density(volume, cube)), stencil)
     x, w, l = cube.positions(positions), cube.directions(omega), cube.directions(suns)
     features = np.concatenate(
         [

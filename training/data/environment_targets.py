@@ -35,7 +35,7 @@ from inference.environments.environment_light import (
 from inference.environments.open_depths import OpenDepths, direction_depths
 from inference.features.mip_lattices import density_pyramid, padded_levels
 from inference.features.stencil import LOW_POINTS, SPARSE
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import fit_cube, mean_density
 from inference.network.environment_features import probe_positions
 from inference.source_terms.cell_sources import EnteringLight
 from inference.transport.discrete_ordinates import LEVEL
@@ -98,7 +98,7 @@ def make_rows(seed: int, sigma_hat_range: tuple[float, float] = SIGMA_HAT_RANGE)
     ahead, behind = (optical_depths(grid, positions, sign * omega) * sigma for sign in (1, -1))
 
     x, w, sigma_hat = cube.positions(positions), cube.directions(omega), sigma * cube.edge
-    pyramid = density_pyramid(level0_density(volume, cube))
+    pyramid = density_pyramid(mean_density(volume, cube))
     depths, light, absorbed = transport_rows(pyramid, x, w, sigma_hat, anisotropy, radiance)
     stencil = load_stencil()
     padded = padded_levels(pyramid, stencil)

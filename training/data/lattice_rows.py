@@ -15,7 +15,7 @@ import pathlib
 import numpy as np
 
 from inference.features.mip_lattices import density_pyramid
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import fit_cube, mean_density
 from training.files import write_rows
 from training.networks import RPNN
 from training.procedural.seeded_volume import seeded_volume
@@ -35,7 +35,7 @@ def lattice_rows(seed: int, data) -> dict:
     rows = np.flatnonzero(data["anisotropy"] == ANISOTROPY)
     volume, _ = seeded_volume(seed)
     cube = fit_cube(volume)
-    levels = refined_levels(density_pyramid(level0_density(volume, cube)))
+    levels = refined_levels(density_pyramid(mean_density(volume, cube)))
     lattice = make_sun_lattice()
     density = read_lattices(
         lattice,

@@ -13,7 +13,7 @@ from inference import Volume
 from inference.environments.environment_light import ordinate_radiance
 from inference.features.mip_lattices import density_pyramid
 from inference.grids.grid import Grid
-from inference.grids.working_cube import Cube, level0_density
+from inference.grids.working_cube import Cube, mean_density
 from inference.marching.lamp_in_media import COARSE as LAMP_EMITTERS
 from inference.marching.lamp_in_media import lamp_key
 from inference.runtime.cancellation import NEVER
@@ -59,7 +59,7 @@ class Cells:
         cube = Cube(np.eye(3), np.zeros(3), 1.0, np.zeros(3, int), np.full(3, count))
 
         def pyramid(values: np.ndarray) -> list[np.ndarray]:
-            return density_pyramid(level0_density(Volume(np.ascontiguousarray(values, np.float32), world), cube))
+            return density_pyramid(mean_density(Volume(np.ascontiguousarray(values, np.float32), world), cube))
 
         levels = pyramid(scene.density)
         coarse, masks = levels[COARSE], []

@@ -36,7 +36,7 @@ from inference.features.mip_lattices import density_pyramid, padded_levels
 from inference.features.stencil import frames
 from inference.grids.bound_medium import BoundMedium
 from inference.grids.grid import Grid
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import fit_cube, mean_density
 from inference.marching.marcher import ray_features_at
 from inference.marching.ray_features import COLUMNS as RAY_COLUMNS
 from inference.paper.sun_lattices import unit_optical_depths
@@ -145,7 +145,7 @@ def make_targets(seed: int, points: int = POINTS, paths: int = PATHS) -> dict:
     radiance = np.stack(halves, axis=2)
 
     x, w, l = cube.positions(at.positions), cube.directions(at.omega), cube.directions(suns)
-    pyramid = density_pyramid(level0_density(volume, cube))
+    pyramid = density_pyramid(mean_density(volume, cube))
     ray, around, gathered = describe_light(volume, cube, pyramid, suns, media, at)
     padded = padded_levels(pyramid, stencil)
     sigma_hat = sigma * cube.edge

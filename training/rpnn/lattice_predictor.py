@@ -8,7 +8,7 @@ import numpy as np
 
 from inference.features.descriptors import angle_to_sun
 from inference.features.mip_lattices import DENSITY_SCALE, density_pyramid
-from inference.grids.working_cube import Cube, level0_density
+from inference.grids.working_cube import Cube, mean_density
 from inference.network.conditions import LitConditions, RayPoints
 from inference.network.interfaces import PointNetwork, Predictor
 from inference.runtime.cancellation import NEVER, CancelToken
@@ -41,7 +41,7 @@ class LatticePredictor(Predictor):
         cancel: CancelToken = NEVER,
     ):
         self.network = network
-        self.density = refined_levels(density_pyramid(level0_density(volume, cube, cancel)))
+        self.density = refined_levels(density_pyramid(mean_density(volume, cube, cancel)))
         self._lock = threading.Lock()
         self._features: tuple[float, list[np.ndarray]] | None = None
 

@@ -13,7 +13,7 @@ from inference import Camera, Medium, SceneError, Settings, Sun, Volume, render
 from inference.grids.dense_grid import DenseGrid
 from inference.grids.grid import Grid
 from inference.grids.sun_optical_depth import SunOpticalDepth
-from inference.grids.working_cube import active_bounds, fit_cube, level0_density
+from inference.grids.working_cube import active_bounds, fit_cube, mean_density
 from inference.plan.sun_columns import column_bytes
 from inference.scene.optimizations import ALL
 from inference.scene.sparse_grid import SparseGrid
@@ -98,9 +98,9 @@ def test_the_memory_of_shadows_is_known_beforehand(direction):
 def test_the_pyramid_equals_that_of_the_dense_grid():
     dense = placed(puffs())
     sparse = kept_sparsely(dense)
-    expected = level0_density(dense, fit_cube(dense))
+    expected = mean_density(dense, fit_cube(dense))
     assert expected.max() > 0.1
-    np.testing.assert_allclose(level0_density(sparse, fit_cube(sparse)), expected, atol=1e-5 * expected.max())
+    np.testing.assert_allclose(mean_density(sparse, fit_cube(sparse)), expected, atol=1e-5 * expected.max())
 
 
 def rendered(pairs, suns):

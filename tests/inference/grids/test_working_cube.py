@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inference.features.mip_lattices import density_pyramid
-from inference.grids.working_cube import active_bounds, fit_cube, level0_density
+from inference.grids.working_cube import active_bounds, fit_cube, mean_density
 from inference.runtime.cancellation import CancelToken
 from inference.scene import Cancelled, SceneError, Volume
 
@@ -36,7 +36,7 @@ def test_mass_is_kept(name):
     """The integral of the density over world space equals its sum over voxels."""
     volume = random_volume(TRANSFORMS[name])
     cube = fit_cube(volume)
-    level0 = level0_density(volume, cube)
+    level0 = mean_density(volume, cube)
     mass = volume.density.sum(dtype=np.float64) * abs(np.linalg.det(TRANSFORMS[name]))
     assert level0.sum(dtype=np.float64) * (cube.edge / 256) ** 3 == pytest.approx(mass, rel=2e-3)
     assert np.linalg.det(cube.rotation) == pytest.approx(1.0)
@@ -49,7 +49,7 @@ def test_cells_hold_the_density_at_their_centres(name):
     index = np.stack(np.meshgrid(*[np.arange(n) for n in volume.density.shape], indexing="ij"), -1)
     volume.density = (1.0 + index @ [0.1, 0.05, 0.2]).astype(np.float32)
     cube = fit_cube(volume)
-    level0 = level0_density(volume, cube)
+    level0 = mean_density(volume, cube)
     cells = np.random.default_rng(1).integers(256, size=(4000, 3))
     world = ((cells + 0.5) / 256 - 0.5) * cube.edge @ cube.rotation.T + cube.centre
     at = (world - volume.world_from_index[:3, 3]) @ np.linalg.inv(volume.world_from_index[:3, :3]).T
@@ -104,5 +104,5 @@ def test_level_0_of_a_large_grid_polls_for_cancellation(shear):
 
     cube = fit_cube(volume)
     with pytest.raises(Cancelled):
-        level0_density(volume, cube, CancelToken(cancelled))
+        mean_density(volume, cube, CancelToken(cancelled))
     assert np.median(np.diff(asked)) < 0.2

@@ -27,7 +27,7 @@ from inference.grids.occupancy import Occupancy
 from inference.grids.optical_depth_sweep import sun_optical_depth
 from inference.grids.resampling import INNER, Placement
 from inference.grids.sun_optical_depth import SunOpticalDepth
-from inference.grids.working_cube import Cube, fit_cube, level0_density
+from inference.grids.working_cube import Cube, fit_cube, mean_density
 from inference.kernels import library
 from inference.kernels.library import Kernels
 from inference.marching.lamp_in_media import LEAST_FACING, place_lamp, softened
@@ -316,7 +316,7 @@ def test_mean_density_of_cells(placed, sparse, monkeypatch):
     else:
         expected = mean_cells(density, volume, cube, 48)
     assert expected.max() > 0.0
-    for found in every_variant(lambda: level0_density(volume, cube)):
+    for found in every_variant(lambda: mean_density(volume, cube)):
         assert_close(expected, found)
 
 
@@ -424,8 +424,8 @@ def test_work_that_is_cancelled_ends(work):
         "columns": lambda: SunOpticalDepth(DenseGrid(density), np.array([0.0, 0.6, 0.8]), cancel),
         "blocks": lambda: SunOpticalDepth(SparseGrid.of_dense(density), np.array([0.0, 0.6, 0.8]), cancel),
         "transport": lambda: DiscreteOrdinates(cube, 5.0, 0.5).solve(SunBeam(SUN.direction, 1.0), cancel),
-        "means": lambda: level0_density(Volume(density, np.eye(4), "cloud"), fit_cube(sheared), cancel),
-        "resampling": lambda: level0_density(sheared, fit_cube(sheared), cancel),
+        "means": lambda: mean_density(Volume(density, np.eye(4), "cloud"), fit_cube(sheared), cancel),
+        "resampling": lambda: mean_density(sheared, fit_cube(sheared), cancel),
         "diffusion": lambda: solve(couple(thin, 1.0), thin, 0.0, 0.0, 10**9, cancel),
     }
     with pytest.raises(Cancelled):

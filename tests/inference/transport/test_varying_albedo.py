@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from inference import Environment, Medium, PointLight, SceneError, Settings, Sun, Volume, render
-from inference.grids.working_cube import fit_cube, level0_density
+from inference.grids.working_cube import fit_cube, mean_density
 from inference.network.albedos import VaryingAlbedos
 from inference.numerics.interpolation import halved_means
 from inference.scene.optimizations import ALL
@@ -200,7 +200,7 @@ def test_the_albedo_that_light_has_met_is_that_of_traced_paths(anisotropy):
     frame[:3, 3] = 0.5 / n - 0.5
     volume = Volume(density, frame, scattering=(density * (0.95 - 0.65 * mask),))
     cube = fit_cube(volume)
-    coarse = CoarseAlbedo(volume, cube, halved_means(halved_means(level0_density(volume, cube))))
+    coarse = CoarseAlbedo(volume, cube, halved_means(halved_means(mean_density(volume, cube))))
     points = random.uniform(-0.28, 0.28, (160, 3))
     omega = random.normal(size=(160, 3))
     omega /= np.linalg.norm(omega, axis=1, keepdims=True)
