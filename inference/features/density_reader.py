@@ -21,8 +21,9 @@ SHARED_RANGE = 16.0
 class DensityReader:
     """The padded pyramid of a volume, and its lattices for the last optical thickness. Safe on several threads.
 
-    stencil: whose points read it; levels finer than its finest do not exist. extent: lowest and highest coordinates (3,), in the cube's frame, of points with density. readers: instances that
-    read it, perhaps of several sizes. Raises Cancelled.
+    stencil: whose points read it; levels finer than its finest are empty. extent: lowest and highest coordinates (3,),
+    in the cube's frame, of points with density. readers: instances that read it, perhaps of several sizes. Raises
+    Cancelled.
     """
 
     def __init__(self, volume: Volume, cube: Cube, stencil: Stencil, cancel: CancelToken = NEVER):

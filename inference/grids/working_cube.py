@@ -53,7 +53,7 @@ class Cube:
         return b"".join((self.rotation.tobytes(), self.centre.tobytes(), np.float64(self.edge).tobytes()))
 
     def in_voxels(self, volume: Volume) -> bytes:
-        """Equal for instances of a volume whose cubes lie alike in its voxels, to SAME_PLACE of one, and are read alike."""
+        """Equal for instances of a volume whose cubes lie alike in its voxels, to SAME_PLACE of one."""
         index_from_world = affine_inverse(volume.world_from_index)
         axes = index_from_world[:3, :3] @ self.rotation * self.edge
         centre = index_from_world[:3, :3] @ self.centre + index_from_world[:3, 3]
@@ -121,13 +121,11 @@ def _cell_weights(edges: np.ndarray, voxels: int) -> np.ndarray:
     return ((integral[1:] - integral[:-1]) / width).astype(np.float32)
 
 
-def mean_density(
-    volume: Volume, cube: Cube, cancel: CancelToken = NEVER, out: np.ndarray | None = None
-) -> np.ndarray:
+def mean_density(volume: Volume, cube: Cube, cancel: CancelToken = NEVER, out: np.ndarray | None = None) -> np.ndarray:
     """Mean density in each cell of the cube: float32 (n, n, n).
 
     Exact means of the trilinear interpolant where grid and cube share their axes; for sheared transforms the mean of
-    2 x 2 x 2 points per cell of level 0. out: zeros (n, n, n) to fill, None for level 0 of the pyramid. Raises Cancelled.
+    2 x 2 x 2 points per cell of level 0. out: zeros (n, n, n) to fill, or None for level 0. Raises Cancelled.
     """
     cells = np.zeros((LEVEL0_CELLS,) * 3, np.float32) if out is None else out
     n = len(cells)
@@ -140,7 +138,9 @@ def mean_density(
         centre = origin + cube.low + linear @ np.full(3, 0.5 - n / 2)
         grid = volume.density if isinstance(volume.density, SparseGrid) else DenseGrid(volume.density)
         occupancy = Occupancy(grid.cells(), grid.cell_peaks(), grid.cell, grid.cells_first)
-        resample(grid, 1, occupancy, Placement(linear, centre, inner_points(2 * LEVEL0_CELLS // n) @ linear.T), cells, cancel)
+        resample(
+            grid, 1, occupancy, Placement(linear, centre, inner_points(2 * LEVEL0_CELLS // n) @ linear.T), cells, cancel
+        )
         return cells
     edges = np.linspace(-0.5, 0.5, n + 1)
     weights = [_cell_weights(edges * scale[axis] + origin[axis], cube.high[axis] - cube.low[axis]) for axis in range(3)]

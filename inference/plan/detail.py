@@ -13,15 +13,15 @@ from ..scene.camera_rays import pixel_size, windows_around
 from ..scene.description import Medium, Volume
 from ..scene.settings import Settings
 from ..scene.sparse_grid import SparseGrid
-from .resolution import LEVEL0_CELLS, TRANSPORT_CELLS, USUAL, Coarser, refinement
+from .resolution import LEVEL0_CELLS, TRANSPORT_CELLS, Coarser, refinement
 
 #: Largest edges in pixels, and optical thicknesses where matter is, of cells of the coarse transport that are 2 and 4
 #: times as large as usual: the light of few cells errs wherever it is seen.
 LARGER_CELLS = (1.25, 0.6), (0.5, 0.3)
 #: The same where albedos vary, which larger cells mix.
 LARGER_COLOURED_CELLS = ((0.25, 0.3),)
-#: Largest optical thickness, at the largest density, of cells of level 1 of the density pyramid that are the finest which
-#: networks read in scenes of several groups.
+#: Largest optical thickness, at the largest density, of cells of level 1 of the density pyramid, up to which networks
+#: read none finer in scenes of several groups.
 THIN_CELL = 0.8
 #: Largest edge in pixels of cells of the usual size, in scenes of several groups, up to which light that varies slowly
 #: is told once per ray. A group alone takes little time where its cells are so small.
@@ -48,15 +48,13 @@ def smallest_pixels(camera: Camera, settings: Settings, corners: np.ndarray) -> 
     return pixel_size(camera, nearest) * camera.resolution[0] / width
 
 
-def coarser_light(
-    groups: Sequence[Members], lamps: bool, camera: Camera, settings: Settings
-) -> list[Coarser]:
-    """By how much cells are larger than usual, in groups (G,) that are one medium each.
+def coarser_light(groups: Sequence[Members], lamps: bool, camera: Camera, settings: Settings) -> list[int]:
+    """Octaves (G,) by which cells of the coarse transport are larger than usual, in groups that are one medium each.
 
     lamps: whether any shine, whose light the transport itself may be.
     """
     if lamps or "level_of_detail" not in settings.optimizations or not abilities(settings.model).every_light:
-        return [USUAL] * len(groups)
+        return [0] * len(groups)
     if not groups:
         return []
     starts = np.cumsum([0, *map(len, groups)])[:-1]
@@ -70,10 +68,22 @@ def coarser_light(
             limits = settings.tolerance * most * pixels, settings.tolerance * depth
             small = (cells * 2**n <= limits[0]) & (depths * 2**n <= limits[1])
             octaves += small & groups_of_kind
-    # Of several groups: one alone takes little memory and time for its finest level.
-    peaks = np.add.reduceat([_peak(*pair) for members in groups for pair in members], starts)
-    thin = (len(groups) > 1) & (peaks * cells * TRANSPORT_CELLS <= settings.tolerance * THIN_CELL * LEVEL0_CELLS / 2)
-    return [Coarser(transport=n, density=m) for n, m in zip(octaves.tolist(), thin.astype(int).tolist())]
+    return octaves.tolist()
+
+
+def coarser_groups(groups: Sequence[Members], lamps: bool, camera: Camera, settings: Settings) -> list[Coarser]:
+    """How finely each group (G,) is resolved; lamps: as for `coarser_light`.
+
+    The finest level of the density takes most of a group's memory: where there are several, thin ones do without.
+    """
+    octaves, density = coarser_light(groups, lamps, camera, settings), [0] * len(groups)
+    detail = "level_of_detail" in settings.optimizations and abilities(settings.model).every_light
+    if detail and not lamps and len(groups) > 1:
+        starts = np.cumsum([0, *map(len, groups)])[:-1]
+        peaks = np.add.reduceat([_peak(*pair) for members in groups for pair in members], starts)
+        cells = _cells(groups, camera, settings)[0] * TRANSPORT_CELLS / (LEVEL0_CELLS >> 1)
+        density = (peaks * cells <= settings.tolerance * THIN_CELL).astype(int).tolist()
+    return [Coarser(transport=n, density=m) for n, m in zip(octaves, density)]
 
 
 def seen_groups(groups: Sequence[Members], camera: Camera, settings: Settings) -> list[bool]:
@@ -89,13 +99,13 @@ def seen_groups(groups: Sequence[Members], camera: Camera, settings: Settings) -
     return found
 
 
-def once_per_ray(groups: Sequence[Members], coarser: Sequence[Coarser], camera: Camera, settings: Settings) -> list[bool]:
+def once_per_ray(groups: Sequence[Members], coarser: Sequence[int], camera: Camera, settings: Settings) -> list[bool]:
     """Whether light that varies slowly is told once per ray in each group, instead of at each depth sample.
 
     coarser: of `coarser_light`.
     """
     if len(groups) < 2 or "level_of_detail" not in settings.optimizations:
-        return [octaves.transport > 0 for octaves in coarser]
+        return [octaves > 0 for octaves in coarser]
     cells, pixels = _cells(groups, camera, settings)
     return (cells <= settings.tolerance * SLOW_CELLS * pixels).tolist()
 

@@ -85,7 +85,9 @@ def field_bytes(
     }
     # Groups of several volumes are not compared.
     places = {
-        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()) if len(group) == 1 else id(group): octaves.transport
+        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes())
+        if len(group) == 1
+        else id(group): octaves.transport
         for group, octaves in zip(groups, coarser)
     }
     environments = from_everywhere * ENVIRONMENT_BYTES * len(shapes)

@@ -20,7 +20,7 @@ from ..scene.mesh_light import MeshLight
 from ..scene.optimizations import ALL
 from ..scene.settings import Settings
 from .coarser import fitting_volumes
-from .detail import box_corners, coarser_light, coarser_shadows, once_per_ray, seen_groups
+from .detail import box_corners, coarser_groups, coarser_shadows, once_per_ray, seen_groups
 from .joined_lamps import joined_lamps
 from .lights import (
     PredictedSun,
@@ -100,7 +100,7 @@ class Plan(SceneLights):
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. channels: groups of colour
     channels. groups: G groups of volumes, by number, each of which the network treats as one medium. multiple: (G,),
     whether a network predicts in a group. scattered_emission: (G,), whether a group scatters light that it emits.
-    coarser: (G,), octaves by which cells of a group's coarse transport are larger than usual. once_per_ray:
+    coarser: (G,), how finely each group is resolved. once_per_ray:
     (G,), of the function of that name. coarser_shadows: (V,), octaves by which voxels of a volume's shadows are larger
     than its grid's. optimizations: names of those in use, as in Settings. memory: estimated peak in bytes, on top of
     the input. tiles: windows (x0, y0, x1, y1) of the image, each of which one thread renders.
@@ -348,7 +348,7 @@ def plan_tiles(
     members = [of for of, seen in zip(scene.members, seen_groups(scene.members, camera, settings)) if seen]
     groups = [[volume for volume, _ in group] for group in members]
     memory += sum(merged_bytes(group, box_corners(group)) for group in groups if len(group) > 1)
-    coarser = coarser_light(members, bool(lights.lamps), camera, settings)
+    coarser = coarser_groups(members, bool(lights.lamps), camera, settings)
     memory += field_bytes(groups, coarser, len(suns) + len(lights.lamps), lights.from_everywhere)
     if lights.sky:
         # That of surfaces, and that which they hide in places.
@@ -411,7 +411,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         scattered_emission.append(scattered)
     if unseen:
         left_out.append(f"light that volumes outside the picture scatter more than once: {unseen}")
-    coarser = coarser_light(scene.members, bool(lights.lamps), camera, settings)
+    coarser = coarser_groups(scene.members, bool(lights.lamps), camera, settings)
     tiles, memory = plan_tiles(scene, lights, suns, camera, settings)
     if len(tiles) > 1:
         planned.append(f"{len(tiles)} tiles of up to {_largest(tiles)} pixels")
@@ -424,7 +424,7 @@ def decide(*, scene: SortedScene, lights: SceneLights, lit: Sequence[int], camer
         multiple=multiple,
         scattered_emission=scattered_emission,
         coarser=coarser,
-        once_per_ray=once_per_ray(scene.members, coarser, camera, settings),
+        once_per_ray=once_per_ray(scene.members, [own.transport for own in coarser], camera, settings),
         coarser_shadows=coarser_shadows(scene.volumes, camera, settings),
         optimizations=settings.optimizations,
         memory=memory,

@@ -89,6 +89,17 @@ def test_pyramid_keeps_the_mean():
     np.testing.assert_allclose(pyramid[3][1, 2, 3], level0[8:16, 16:24, 24:32].mean(), rtol=1e-5)
 
 
+@pytest.mark.parametrize("sheared", [False, True])
+def test_coarser_cells_are_the_means_of_finer_ones(sheared):
+    linear = np.array([[0.1, 0.03 * sheared, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.2]])
+    volume = random_volume(linear)
+    cube = fit_cube(volume)
+    levels = density_pyramid(mean_density(volume, cube))
+    for level in levels[1:3]:
+        coarse = mean_density(volume, cube, out=np.zeros_like(level))
+        np.testing.assert_allclose(coarse, level, atol=1e-5 * level.max())
+
+
 @pytest.mark.parametrize("shear", [0.0, 0.2])
 def test_level_0_of_a_large_grid_polls_for_cancellation(shear):
     """80 million voxels, and a sheared grid: seconds of work, stopped at once."""

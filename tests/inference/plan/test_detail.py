@@ -14,6 +14,7 @@ from inference.grids.working_cube import fit_cube
 from inference.network.network import load_network
 from inference.numerics.interpolation import halved_means
 from inference.plan.detail import LARGER_CELLS, coarser_light, coarser_shadows, once_per_ray, seen_groups
+from inference.plan.memory import FURTHER_BYTES
 from inference.plan.plan import make_plan
 from inference.runtime.tasks import SERIAL
 from inference.scene.errors import SceneError
@@ -122,8 +123,24 @@ def test_pictures_hardly_change(distance):
     pairs, view = [(volume, MEDIUM) for volume in turned], camera(distance, resolution=(96, 64))
     plan = make_plan(pairs, LIGHTS, view, SETTINGS)
     found, expected = (render(pairs, LIGHTS, view, settings) for settings in (SETTINGS, WHOLE))
-    assert sum(plan.coarser) > 0
+    assert sum(own.transport + own.density for own in plan.coarser) > 0
     assert 0.0 < change(found, expected) < 5e-3
+
+
+@pytest.mark.parametrize("lights", [LIGHTS[:1], LIGHTS])
+def test_thin_volumes_of_several_need_less_memory_for_nearly_the_same_light(lights):
+    pairs = [(moved([1.2 * n, 0.0, 0.0], 1.0 + 0.01 * n), MEDIUM) for n in (-1, 0, 1)]
+    view = camera(3.0, resolution=(96, 64))
+    plan, whole = (make_plan(pairs, lights, view, settings) for settings in (SETTINGS, WHOLE))
+    assert [own.density for own in plan.coarser] == [1, 1, 1] and plan.coarser[0].transport == 0
+    # Of two further volumes.
+    assert whole.memory - plan.memory > 0.8 * 2 * (FURTHER_BYTES >> 1)
+    found, expected = (render(pairs, lights, view, settings) for settings in (SETTINGS, WHOLE))
+    assert 0.0 < change(found, expected) < 5e-3
+    # Neither one volume alone nor a dense one.
+    dense = [(volume, Medium(1e3)) for volume, _ in pairs]
+    for others in (pairs[:1], dense):
+        assert {own.density for own in make_plan(others, lights, view, SETTINGS).coarser} == {0}
 
 
 def test_colours_hardly_change():
