@@ -148,7 +148,7 @@ class Verdict:
         if not np.isfinite(self.more):
             return "too noisy to judge: the error cannot be told from 0"
         return (
-            f"too noisy to judge to {ACCURACY:.0%}; compare again with {self.more:.1f} times the Samples "
+            f"too noisy to judge the error to {ACCURACY:.0%}; compare again with {self.more:.1f} times the Samples "
             f"(about {self.seconds:.0f} s)"
         )
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 
+from ..mrpnn_addon.comparison.results import rounded
 from ..mrpnn_addon.engine.engine import MRPNNRenderEngine
 from ..mrpnn_addon.output.composite import composite_state
 from ..mrpnn_addon.runtime.text import duration, label
@@ -24,9 +25,9 @@ from ..operators.render import MRPNN_OT_render
 from .text import draw_text
 
 # Column titles by a comparison's clock.
-TIMES = {"seconds": "Time", "cpu_seconds": "CPU Time"}
+TIMES = {"seconds": "Time", "cpu_seconds": "CPU"}
 #: Share of the table's width for the names of methods.
-METHODS = 0.5
+METHODS = 0.6
 
 
 class _RenderPanel:
@@ -282,6 +283,11 @@ class MRPNN_PT_cycles(_RenderPanel, bpy.types.Panel):
         _draw_comparison(context, self.layout, last_comparison())
 
 
+def _seconds(value: float) -> str:
+    """Short enough for its column."""
+    return f"{rounded(value)} s" if value >= 0.1 else f"{value:.2f} s"
+
+
 def _draw_comparison(context: "bpy.types.Context", layout: "bpy.types.UILayout", last: Any) -> None:
     """The last comparison's table."""
     if last is None:
@@ -290,7 +296,7 @@ def _draw_comparison(context: "bpy.types.Context", layout: "bpy.types.UILayout",
     box = layout.box()
     table = box.column(align=True)
     rows = [
-        (f"{rung.samples}, {rung.method}", f"{getattr(rung, comparison.clock):.2g} s", f"{rung.error:.3f}")
+        (f"{rung.samples}, {rung.method}", _seconds(getattr(rung, comparison.clock)), f"{rung.error:.3f}")
         for rung in comparison.rungs
     ]
     for method, *figures in [("Samples", TIMES[comparison.clock], "Error"), *rows]:

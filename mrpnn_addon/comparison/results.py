@@ -68,9 +68,9 @@ class Equal:
         if not np.isfinite(self.ratio):
             return f"{method}: how long it takes to MRPNN's error is unknown"
         return (
-            f"{method} needs {_quantity(self.needed, clock)} for MRPNN's error: {_rounded(self.ratio)} times as "
-            f"long as MRPNN, and {_rounded(self.frame_ratio)} times as long as its next frame. In MRPNN's "
-            f"{_rounded(self.seconds)} {clock}, its error is {_quantity(self.error)}"
+            f"{method} needs {_quantity(self.needed, clock)} for MRPNN's error: {rounded(self.ratio)} times as "
+            f"long as MRPNN, and {rounded(self.frame_ratio)} times as long as its next frame. In MRPNN's "
+            f"{rounded(self.seconds)} {clock}, its error is {_quantity(self.error)}"
         )
 
 
@@ -147,14 +147,14 @@ class Comparison:
         write_json(path, self.figures())
 
 
-def _rounded(value: float) -> str:
+def rounded(value: float) -> str:
     """Two digits, without an exponent for large values."""
     return f"{float(f'{value:.2g}'):g}"
 
 
 def _quantity(reached: Reached, unit: str = "") -> str:
     """A value with its unit, and how it is known where it is not measured."""
-    return f"{_rounded(reached.value)} {unit}".rstrip() + ("" if reached.how == MEASURED else f" ({reached.how})")
+    return f"{rounded(reached.value)} {unit}".rstrip() + ("" if reached.how == MEASURED else f" ({reached.how})")
 
 
 def _finite(value: Any) -> Any:

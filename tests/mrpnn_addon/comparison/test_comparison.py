@@ -92,6 +92,9 @@ def test_equal_error_and_equal_time_follow_from_noise_and_cost(comparison, plant
     denoised = by["cycles denoised", "seconds"].needed
     assert denoised.value < 0.1 * traced.needed.value
     assert len(result.sentences()) == 2 and result.sentences()[0].startswith("Cycles needs ")
+    # Of hours, too, an artist reads plain seconds.
+    traced.needed.value = 12345.0
+    assert str(traced).startswith("Cycles needs 12000 s (extrapolated) for MRPNN's error: ")
 
 
 def test_the_quicker_way_through_volumes_is_told_first_and_the_other_beside_it(comparison, kept, planted, choices):
