@@ -94,7 +94,8 @@ def field_bytes(
     held = sorted((LIGHT_BYTES >> 3 * octaves for octaves in places.values()), reverse=True)
     fields = sorted(FURTHER_BYTES >> density for _, density in shapes)
     further = sum(fields[:-1]) + sum(held[1:]) * max(lights, 1)
-    return FIELD_BYTES + environments + further
+    first = FIELD_BYTES >> 2 * min((octaves.density for octaves in coarser), default=0)
+    return first + environments + further
 
 
 def merged_bytes(volumes: Sequence[Volume], corners: np.ndarray) -> int:
