@@ -144,7 +144,7 @@ def test_outputs_of_one_ray_are_those_of_the_middle_of_the_lens_and_deep_samples
     assert np.allclose(found.median[both], sharp.median[both], rtol=1e-5)
     covered = np.bincount(found.coverage.pixel, found.coverage.share, 48 * 48)
     assert np.allclose(covered, found.alpha.ravel(), atol=1e-5)
-    with pytest.raises(SceneError, match="deep samples.*depth of field"):
+    with pytest.raises(SceneError, match="deep EXR.*depth of field"):
         render([ball()], sun, blurred, Settings(outputs=frozenset({"deep"})))
 
 

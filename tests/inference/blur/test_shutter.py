@@ -114,7 +114,7 @@ def test_a_picture_is_the_mean_of_pictures_at_many_times(projection, curve):
 
 def test_deep_samples_are_refused_and_impossible_shutters():
     moving = replace(CAMERA, shutter=Shutter([placed(-0.2), placed(0.2)]))
-    with pytest.raises(SceneError, match="deep samples.*motion blur"):
+    with pytest.raises(SceneError, match="deep EXR.*motion blur"):
         render([ball()], [], moving, Settings(outputs=frozenset({"deep"})))
     for values in ({"world_matrices": [placed()]}, {"fovs": (0.5, 4.0)}, {"curve": (0.0, 0.0)}):
         with pytest.raises(SceneError, match="camera: "):
