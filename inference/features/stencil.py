@@ -30,8 +30,8 @@ class Stencil:
     """Points of the stencil, in units of the working cube's edge.
 
     low: float32 (160, 3), offsets in the frame of `frames`. high: float32 (32,), distances towards the sun.
-    every: 1, or SPARSE for a stencil that keeps only every fourth point of each layer. finest: mip level that points of
-    finer levels are read at. mips: int (192 / every,), mip level of each point.
+    every: 1, or SPARSE for a stencil that keeps only every fourth point of each layer. finest: mip level that is
+    read in place of finer ones. mips: int (192 / every,), mip level of each point.
 
     Raises ValueError for other numbers of points.
     """

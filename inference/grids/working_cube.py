@@ -37,7 +37,7 @@ class Cube:
 
     rotation: float64 (3, 3), columns are the cube's axes in the world. centre: float64 (3,), world. edge: world units.
     low, high: int (3,), first and one past the last active voxel on each axis. finest: level of the density pyramid
-    that is read of it where a finer one would be.
+    that networks read in place of finer ones.
     """
 
     rotation: np.ndarray
@@ -53,7 +53,7 @@ class Cube:
         return b"".join((self.rotation.tobytes(), self.centre.tobytes(), np.float64(self.edge).tobytes()))
 
     def in_voxels(self, volume: Volume) -> bytes:
-        """Equal for instances of a volume whose cubes lie alike in its voxels, to SAME_PLACE of one."""
+        """Equal for instances whose cubes lie alike in their voxels, to SAME_PLACE of one, with the same `finest`."""
         index_from_world = affine_inverse(volume.world_from_index)
         axes = index_from_world[:3, :3] @ self.rotation * self.edge
         centre = index_from_world[:3, :3] @ self.centre + index_from_world[:3, 3]

@@ -47,9 +47,8 @@ class VolumePredictor:
 
     network: from `load_network`. anisotropy: of the medium; outside the network's range the nearest value is used.
     cube: of `fit_cube`, where it is known. like: of another instance of the same voxels, whose cube lies alike in them,
-    perhaps of another anisotropy.
-    coarser: octaves by which cells of the coarse transport are larger than usual; 0 for networks that know suns alone.
-    Safe on several threads. Raises Cancelled.
+    perhaps of another anisotropy. coarser: octaves by which cells of the coarse transport are larger than usual; 0 for
+    networks that know suns alone. Safe on several threads. Raises Cancelled.
 
     Outside the range of optical thickness that the network was trained for, the prediction is that at the end of the
     range: scaled down in proportion below it, where multiple scattering is linear in density, and constant above it. No

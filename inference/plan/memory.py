@@ -84,12 +84,10 @@ def field_bytes(
         for group, octaves in zip(groups, coarser)
     }
     # Groups of several volumes are not compared.
-    places = {
-        (group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes())
-        if len(group) == 1
-        else id(group): octaves.transport
-        for group, octaves in zip(groups, coarser)
-    }
+    places = {}
+    for group, octaves in zip(groups, coarser):
+        alone = group[0].voxels_key, group[0].world_from_index[:3, :3].tobytes()
+        places[alone if len(group) == 1 else id(group)] = octaves.transport
     environments = from_everywhere * ENVIRONMENT_BYTES * len(shapes)
     held = sorted((LIGHT_BYTES >> 3 * octaves for octaves in places.values()), reverse=True)
     fields = sorted(FURTHER_BYTES >> density for _, density in shapes)

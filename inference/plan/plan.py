@@ -100,10 +100,10 @@ class Plan(SceneLights):
     volumes: V pairs of Volume and Medium, scaled into the range of single precision. channels: groups of colour
     channels. groups: G groups of volumes, by number, each of which the network treats as one medium. multiple: (G,),
     whether a network predicts in a group. scattered_emission: (G,), whether a group scatters light that it emits.
-    coarser: (G,), how finely each group is resolved. once_per_ray:
-    (G,), of the function of that name. coarser_shadows: (V,), octaves by which voxels of a volume's shadows are larger
-    than its grid's. optimizations: names of those in use, as in Settings. memory: estimated peak in bytes, on top of
-    the input. tiles: windows (x0, y0, x1, y1) of the image, each of which one thread renders.
+    coarser: (G,), how finely each group is resolved. once_per_ray: (G,), of the function of that name. coarser_shadows:
+    (V,), octaves by which voxels of a volume's shadows are larger than its grid's. optimizations: names of those in
+    use, as in Settings. memory: estimated peak in bytes, on top of the input. tiles: windows (x0, y0, x1, y1) of the
+    image, each of which one thread renders.
     """
 
     volumes: list[tuple[Volume, Medium]]
