@@ -30,7 +30,9 @@ def fitting_volumes(
     while remaining > limit:
         sizes = [_size(volume) for volume, _ in found]
         if not adapts or not max(sizes, default=0):
-            raise SceneError(f"{why}; raise the limit, or use fewer depth samples, a smaller image or smaller grids")
+            raise SceneError(
+                f"{why}; raise the limit, or use fewer volumes or smaller grids, fewer depth samples or a smaller image"
+            )
         largest = found[int(np.argmax(sizes))][0]
         coarse = halved(largest)
         alike = np.array([volume.voxels_key == largest.voxels_key for volume, _ in found])

@@ -66,7 +66,7 @@ class Equal:
         clock = "s" if self.clock == "seconds" else "processor seconds"
         method = self.method.capitalize()
         if not np.isfinite(self.ratio):
-            return f"{method}: how long it takes to MRPNN's error is unknown"
+            return f"{method}: how long it takes to reach MRPNN's error is unknown"
         return (
             f"{method} needs {_quantity(self.needed, clock)} for MRPNN's error: {rounded(self.ratio)} times as "
             f"long as MRPNN, and {rounded(self.frame_ratio)} times as long as its next frame. In MRPNN's "
