@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Linear algebra and quadrature on the calling thread against numpy's."""
 
+import contextlib
 import re
 import threading
 import time
@@ -213,6 +214,8 @@ def time_of_others():
     ticks = {}
     for thread in Path("/proc/self/task").iterdir():
         if int(thread.name) not in known:
-            fields = (thread / "stat").read_text().rsplit(")", 1)[1].split()
-            ticks[thread.name] = int(fields[11]) + int(fields[12])
+            # It may end before it is read.
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                fields = (thread / "stat").read_text().rsplit(")", 1)[1].split()
+                ticks[thread.name] = int(fields[11]) + int(fields[12])
     return ticks
